@@ -4,6 +4,7 @@ import io
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from lobewise.cli.options.naming import expand_names, name_clean
 from lobewise.cli.program import run
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
+from lobewise.recipes.files.denoiser import FileDenoiser, OpenedFile
+from lobewise.recipes.files.result import FileResult
 from tests.streaming.frames import make_scene
 
 CHEAP = ("--quality", "fast", "--similarity", "normal")
@@ -108,6 +111,30 @@ def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest
     assert [line for line in told if line.startswith("in/a.exr: ")]
     assert told[-1] == ("lobewise: 1 of 2 files could not be denoised (in/a.exr); mend what is said above.")
     assert list_files(folder / "out") == ["b.exr"]
+
+
+def test_the_next_file_is_read_while_one_is_filtered(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_frame("in/c.exr", make_scene((83, 19), seed=2))
+    begun = {name: threading.Event() for name in ("a.exr", "b.exr", "c.exr")}
+    read, denoise = FileDenoiser.read, FileDenoiser._filter
+
+    def note_read(own: FileDenoiser, path: Path) -> OpenedFile:
+        begun[path.name].set()
+        return read(own, path)
+
+    def wait_and_filter(own: FileDenoiser, file: OpenedFile) -> FileResult:
+        following = {"a.exr": "b.exr", "b.exr": "c.exr"}.get(file.path.name)
+        assert following is None or begun[following].wait(60.0)
+        return denoise(own, file)
+
+    monkeypatch.setattr(FileDenoiser, "read", note_read)
+    monkeypatch.setattr(FileDenoiser, "_filter", wait_and_filter)
+    assert run(["denoise", "in", "-o", "out", *CHEAP, "--verbose"]) == 0
+    assert list_files(folder / "out") == ["a.exr", "b.exr", "c.exr"]
+    told = capsys.readouterr().err
+    assert told.count("Seconds: reading ") == 3
 
 
 def test_standard_input_and_output_carry_the_bytes_of_files(folder: Path) -> None:

@@ -16,6 +16,7 @@ from lobewise.cli.options.naming import (
     Sources,
     Target,
     Tev,
+    Turn,
     open_streams,
     pair_files,
     prepare_tev,
@@ -98,9 +99,9 @@ def denoise(
     picture.check()
     bounds.limit()
 
-    def run(path: Path, target: Path) -> None:
-        remarks.file = path.name if len(pairs) > 1 else ""
-        run_request(Job.plan(path, target, frames, picture, telling, remarks), request, repr(picture), farm, bounds)
+    def run(path: Path, target: Path, turn: Turn) -> None:
+        job = Job.plan(path, target, frames, picture, telling, remarks, turn)
+        run_request(job, request, repr(picture), farm, bounds)
 
     remarks = make_remarks()
     show = prepare_tev(tev)

@@ -16,6 +16,7 @@ from lobewise.cli.terminal.steps import Steps
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from lobewise.cli.options.naming import Turn
     from lobewise.recipes.files import FileResult
     from lobewise.recipes.files.remarks import Remarks
     from lobewise.recipes.files.running import Request
@@ -38,6 +39,8 @@ class Job:
     remarks: Remarks
     numbers: Collection[int] | None = None
     """The frames to filter; None for all."""
+    turn: Turn | None = None
+    """The place of the source among several."""
 
     @classmethod
     def plan(
@@ -48,6 +51,7 @@ class Job:
         picture: Picture,
         telling: Telling,
         remarks: Remarks | None = None,
+        turn: Turn | None = None,
     ) -> Job:
         """Return the job that the options ask for, and make the folder of a sequence's outputs.
 
@@ -58,6 +62,9 @@ class Job:
         from lobewise.io.files import make_folder
         from lobewise.io.sequence import is_pattern
 
+        remarks = remarks or make_remarks()
+        if turn is not None:
+            remarks.file = turn.label
         numbers = choose_numbers(frames, source, picture)
         if is_pattern(source) and is_pattern(output):
             make_folder(output.parent)
@@ -66,9 +73,10 @@ class Job:
             output=output,
             pictures=picture.plan(name_first_output(source, output, numbers)),
             steps=Steps(telling.progress),
-            remarks=remarks or make_remarks(),
+            remarks=remarks,
             verbose=telling.verbose,
             numbers=numbers,
+            turn=turn,
         )
 
     def expose(self, request: Request, context: str) -> None:
@@ -120,6 +128,8 @@ def run_files(job: Job, request: Request, context: str) -> None:
             list_outputs=partial(list_outputs, job.output, job.pictures is not None),
             after=None if job.pictures is None else partial(write_picture, job.pictures),
             progress=steps.follow,
+            overlap=None if job.turn is None else job.turn.overlap,
+            following=None if job.turn is None else job.turn.following,
         )
     last = report.last
     counted = "" if last is None else describe_result(last)

@@ -46,12 +46,14 @@ class _Task:
     future: Future[Any] = field(default_factory=Future)
 
     def run(self, stage: str, call: Callable[[], Any]) -> None:
-        """Call a function, and keep what it returns or raises."""
+        """Call a function, and keep what it returns and its seconds, or what it raises."""
         _take_note.set(self.notes.append)
+        start = time.perf_counter()
         try:
             with watch_call(lambda _: not self.stopped.is_set()), plan_stages({stage: 1.0}):
                 enter_stage(stage)
-                self.future.set_result(call())
+                result = call()
+            self.future.set_result((result, time.perf_counter() - start))
         except BaseException as problem:
             self.future.set_exception(problem)
 
@@ -106,7 +108,9 @@ class Overlap:
             self._reading = None
             for note in task.notes:
                 self._take(note)
-            result: T = task.future.result()
+            result: T
+            result, spent = task.future.result()
+            self.seconds[READ] += spent
             return result
         self._reading = None
         if task is not None:
@@ -144,7 +148,8 @@ class Overlap:
         try:
             for note in task.notes:
                 note()
-            task.future.result()
+            _, spent = task.future.result()
+            self.seconds[WRITE] += spent
             then()
         finally:
             for note in waiting:
@@ -152,7 +157,7 @@ class Overlap:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        """Count the time of the ``with`` block for a stage. One thread at a time is in a stage."""
+        """Count the time of the ``with`` block for a stage."""
         start = time.perf_counter()
         try:
             yield
@@ -162,13 +167,8 @@ class Overlap:
     def _start(self, key: Hashable, stage: str, call: Callable[[], object]) -> _Task | None:
         """Return a call that begins in another thread; None where the system refuses a thread."""
         task = _Task(key)
-
-        def run() -> object:
-            with self.time(stage):
-                return call()
-
         try:
-            self._pool.submit(copy_context().run, task.run, stage, run)
+            self._pool.submit(copy_context().run, task.run, stage, call)
         except RuntimeError:
             # The call stays in the queue of the other thread.
             task.stopped.set()

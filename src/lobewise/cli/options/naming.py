@@ -9,15 +9,19 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lobewise.cli.options.writing import list_files
 from lobewise.cli.terminal.help import file_detail
 from lobewise.errors import InputError, LobewiseError
+
+if TYPE_CHECKING:
+    from lobewise.work.overlap import Overlap
 
 MIN_FRAMES_OF_SEQUENCE = 3
 """Fewest files, named by one pattern, that may be an animation."""
@@ -159,27 +163,45 @@ def _name_clean_folder(folder: Path) -> Path:
     return named.with_name(f"{named.name}_clean")
 
 
-def run_each(pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: Callable[[Path, Path], None]) -> None:
+@dataclass(frozen=True)
+class Turn:
+    """The place of an input among several."""
+
+    label: str
+    """Begins every note on the input; empty for the only one."""
+    overlap: Overlap
+    """What read the input ahead, if anything did."""
+    following: Path | None
+    """The file that may be read ahead; None where there is none, or it is not there yet."""
+
+
+def run_each(
+    pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: Callable[[Path, Path, Turn], None]
+) -> None:
     """Make the folders of outputs, and run a verb on every pair of input and output.
 
     Of several inputs one that fails does not stop the others. Raises LobewiseError at the end if any failed.
     """
     from lobewise.cli.output import print_note
     from lobewise.io.files import make_folder
+    from lobewise.io.sequence import is_pattern
+    from lobewise.work.overlap import Overlap
 
     for folder in folders:
         make_folder(folder)
-    if len(pairs) == 1:
-        return run(*pairs[0])
-    if note := describe_sequence([source for source, _ in pairs]):
-        print_note(note)
-    failed = []
-    for source, output in pairs:
-        try:
-            run(source, output)
-        except LobewiseError as problem:
-            failed.append(source)
-            print_note(f"{source}: {problem}")
+    with Overlap() as overlap:
+        if len(pairs) == 1:
+            return run(*pairs[0], Turn("", overlap, None))
+        if note := describe_sequence([source for source, _ in pairs]):
+            print_note(note)
+        failed = []
+        for (source, output), following in zip(pairs, [*(path for path, _ in pairs[1:]), None], strict=True):
+            is_there = following is not None and following != output and not is_pattern(following)
+            try:
+                run(source, output, Turn(source.name, overlap, following if is_there else None))
+            except LobewiseError as problem:
+                failed.append(source)
+                print_note(f"{source}: {problem}")
     if failed:
         names = ", ".join(map(str, failed[:8])) + (f" and {len(failed) - 8} more" if len(failed) > 8 else "")
         raise LobewiseError(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from lobewise.denoising.automatic import change_settings
-from lobewise.errors import InputError, require_choice, require_kind
+from lobewise.errors import InputError, LobewiseError, require_choice, require_kind
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, as_path, require_exr_name, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern, look_up_number
@@ -22,6 +24,7 @@ from lobewise.recipes.files.upsampler import FileUpsampler, UpsampleRequest
 from lobewise.recipes.ledger import Ledger, measure_all, open_ledger
 from lobewise.recipes.sequence import Need, SequenceFilter, SequenceReport, filter_sequence, require_frames
 from lobewise.settings import DenoiseSettings
+from lobewise.work.limits import get_limits, has_memory, set_aside
 from lobewise.work.overlap import Overlap
 from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_file, watch_call
 
@@ -168,6 +171,8 @@ def run_files(
     progress: Watcher | None = None,
     files: FileFilter[Any] | None = None,
     ledger: Ledger | None = None,
+    overlap: Overlap | None = None,
+    following: Path | None = None,
 ) -> SequenceReport[FileResult]:
     """Filter one file, or every file of a pattern.
 
@@ -185,6 +190,8 @@ def run_files(
         The filter, if it was opened before.
     ledger : Ledger, optional
         The records of a sequence, if somebody holds their lock; by default this run holds and at last removes them.
+    overlap : Overlap, optional
+        What read a single file ahead, and reads the ``following`` one, which the next call filters in the same way.
     """
     files = files or open_filter(request, source, output, remarks)
 
@@ -224,11 +231,37 @@ def run_files(
                 ledger.remove()
         return report
     require_writable(output)
-    with watch_call(progress), follow_file(source.name), Overlap() as overlap:
-        file = overlap.read(source, partial(files.read, source))
-        enter_stage(FILTER)
-        with overlap.time(FILTER), name_file(source):
-            result = files.make_filter().add(file)
-        enter_stage(WRITE)
-        overlap.write(partial(write, output, result, file, source), lambda: None, behind=False)
-    return SequenceReport(frames=1, written=1, last=result, stage_seconds=overlap.seconds)
+    with watch_call(progress), follow_file(source.name), nullcontext(overlap) if overlap else Overlap() as beside:
+        return _run_file(source, files, partial(write, output), beside, following)
+
+
+def _run_file(
+    source: Path,
+    files: FileFilter[Any],
+    write: Callable[[FileResult, Any, Path], None],
+    overlap: Overlap,
+    following: Path | None,
+) -> SequenceReport[FileResult]:
+    """Filter one file, and begin to read the ``following`` one; see `run_files`."""
+    before = dict(overlap.seconds)
+    file = overlap.read(source, partial(files.read, source))
+    aside = _read_ahead(files, source, following, overlap)
+    enter_stage(FILTER)
+    with overlap.time(FILTER), set_aside(aside), name_file(source):
+        result = files.make_filter().add(file)
+    enter_stage(WRITE)
+    overlap.write(partial(write, result, file, source), lambda: None, behind=False)
+    seconds = {stage: spent - before[stage] for stage, spent in overlap.seconds.items()}
+    return SequenceReport(frames=1, written=1, last=result, stage_seconds=seconds)
+
+
+def _read_ahead(files: FileFilter[Any], source: Path, following: Path | None, overlap: Overlap) -> float:
+    """Begin to read the ``following`` file, where there is memory for it. Return the memory that it takes, bytes."""
+    if following is not None and math.isinf(get_limits().deadline):
+        # A limit of time is that of one file.
+        with suppress(LobewiseError):
+            own, other = files.foretell(source), files.foretell(following)
+            if has_memory(own.held + own.work + other.held):
+                overlap.read_ahead(following, partial(files.read, following))
+                return other.held
+    return 0.0
