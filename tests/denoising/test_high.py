@@ -23,7 +23,7 @@ from lobewise.denoising.evidence import load_networks
 from lobewise.engine.here import HERE
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.filters.glue import define_smooth
-from lobewise.filters.mixing import Perceptron
+from lobewise.filters.mixing import PERCEPTRON_LEAK, Perceptron, compute_shares
 from lobewise.filters.noise import agreement, detail
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
@@ -250,13 +250,40 @@ def test_two_albedos_of_a_renderer_are_mixed() -> None:
     assert mix_albedos(alone) is alone
 
 
+@pytest.mark.parametrize("units", [4, 6, 16])
+def test_a_network_of_any_size_reads_no_further(units: int) -> None:
+    """Vectors that reach beyond the last unit read what lies in memory behind the weights."""
+    rng = np.random.default_rng(2)
+    shapes = [(5, units), (units, units), (units, 3), (units,), (units,), (3,)]
+    values = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
+    seen = rng.normal(size=(5, 7, 5)).astype(np.float32)
+
+    def place(array: FloatArray, behind: float) -> FloatArray:
+        memory = np.full(array.size + 32, behind, np.float32)
+        memory[: array.size] = array.ravel()
+        return memory[: array.size].reshape(array.shape)
+
+    shares = []
+    for behind in (0.0, np.nan, 1e30):
+        arrays = [place(each, behind) for each in values]
+        network = Perceptron(np.zeros(5, np.float32), np.ones(5, np.float32), tuple(arrays[:3]), tuple(arrays[3:]))  # type: ignore[arg-type]
+        shares.append(compute_shares(seen, network, 3))
+    layer = seen
+    for number, (weights, bias) in enumerate(zip(values[:3], values[3:], strict=True)):
+        layer = layer @ weights + bias
+        layer = layer if number == 2 else np.maximum(layer, np.float32(PERCEPTRON_LEAK) * layer)
+    expected = np.exp(layer) / np.exp(layer).sum(axis=-1, keepdims=True)
+    for each in shares:
+        np.testing.assert_allclose(each, expected, atol=1e-4)
+
+
 def test_normals_are_smoothed_within_surfaces() -> None:
     """Noise of normals falls to a third and an edge stays: neighbours across it hardly count."""
     rng = np.random.default_rng(3)
     left = np.arange(32)[None, :, None] < 16
     clean = np.where(left, np.float32([0.0, 0.0, 1.0]), np.float32([1.0, 0.0, 0.0])) + np.zeros((24, 1, 1), np.float32)
     noisy = (clean + 0.05 * rng.standard_normal(clean.shape)).astype(np.float32)
-    (smooth,) = HERE.pixels(define_smooth, {"image": noisy}, {}, (NORMAL_DEVIATION,))
+    (smooth,) = HERE.pixels(define_smooth, {"image": noisy}, {"deviation": np.float32(NORMAL_DEVIATION / 4.0)})
     assert np.std(smooth - clean) < 0.4 * np.std(noisy - clean)
     assert np.abs(smooth - clean)[:, 15:17].max() < 0.12
 
@@ -281,8 +308,9 @@ class TestPeer:
         networks["peer"] = usual
         noisy, mixed = make_frame().radiance.color, self.combine(make_frame(), ours)
         images = np.stack([ours, noisy, peer["image"]])
-        assert (mixed >= images.min(axis=0) * (1.0 - ROUNDING)).all()
-        assert (mixed <= images.max(axis=0) * (1.0 + ROUNDING)).all()
+        bound = ROUNDING * images.max(axis=0)
+        assert (mixed >= images.min(axis=0) - bound).all()
+        assert (mixed <= images.max(axis=0) + bound).all()
         # In proportions that change from pixel to pixel.
         assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 1e-3
         networks["peer"] = force(usual, NOISY)

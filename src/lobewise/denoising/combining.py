@@ -68,10 +68,11 @@ deviations of its noise."""
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
 its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
-NORMAL_DEVIATION = 0.2
-"""Difference of normals at which `define_smooth` gives a neighbour the weight exp(-1/2). With it, the mean error is
-0.4 % more than with the library's filter of normals at 64 samples per pixel, and less at 4; with twice the deviation,
-hair and leaves lose."""
+MIN_SMOOTHED_SPP, NORMAL_DEVIATION = 16.0, 0.8
+"""Samples per pixel from which noisy normals are smoothed instead of filtered by the library, and difference of normals
+at which `define_smooth` gives a neighbour the weight exp(-1/2), at one sample per pixel: it falls with their root, as
+noise does. The mean error is 0.2 % more than with the library's filter at 16 samples, and the same at 64. With 4
+samples and 0.2 it is 0.6 % more, and with one half as much again in haze."""
 UNGUIDED_QUALITY_CLEAN = "fast"
 """Quality for the image without guides where guides have no noise: it helps less there, and is made in half the
 time."""
@@ -398,7 +399,7 @@ def list_peer_costs(frame: Frame, *, is_best: bool = False, has_kernels: bool = 
     if has_clean_guides(frame):
         calls = {("color", "albedo", "normal"): 3.0, ("color",): 0.6}
     else:
-        filtered = guides if is_best or not has_kernels else ("albedo",)
+        filtered = ("albedo",) if _smooths_normals(frame, is_best, has_kernels) else guides
         calls = {(name,): 1.4 for name in filtered} | {("color", "albedo", "normal"): 3.0, ("color",): 1.3}
     # The library takes normals only beside an albedo.
     known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
@@ -453,12 +454,12 @@ def denoise_with_peer(
 
     It is called with the guides of the frame and without, and for each layer with the layer's own albedo. All results
     have errors of their own, so that their mean is better than each. The library filters a noisy albedo, after
-    `mix_albedos`. A noisy normal is smoothed; where there are no kernels, the library filters it. Our ``image``
-    replaces bad pixels of the samples and of the result.
+    `mix_albedos`. A noisy normal is smoothed if it has `MIN_SMOOTHED_SPP`, else the library filters it too, as it does
+    without kernels. Our ``image`` replaces bad pixels of the samples and of the result.
 
-    With ``is_best``, for the quality "best", the library filters the normal too, layers are filtered at a higher
-    quality, and the image with guides is the mean of two: the library makes other errors in an image that is turned by
-    half a turn.
+    With ``is_best``, for the quality "best", the library filters the normal, layers are filtered at a higher quality,
+    and the image with guides is the mean of two: the library makes other errors in an image that is turned by half a
+    turn.
 
     Raises
     ------
@@ -468,7 +469,7 @@ def denoise_with_peer(
     color, is_clean = _replace_bad(samples, image), has_clean_guides(frame)
     guides = reduce_guides(mix_albedos(frame.gbuffer))
     if not is_clean:
-        guides = _clean_guides(guides, smooths=has_kernels and not is_best)
+        guides = _clean_guides(guides, frame.spp if _smooths_normals(frame, is_best, has_kernels) else None)
     peer = _call_peer(color, guides, image)
     if not name_oidn_guides(frame):
         return PeerImages(peer, peer, [])
@@ -496,13 +497,18 @@ def denoise_with_peer(
     return PeerImages(average_alike(peer, unguided, UNGUIDED_SHARE, frame.spp), unguided, by_layers)
 
 
-def _clean_guides(guides: GBuffer, *, smooths: bool) -> GBuffer:
-    """Return the images of `reduce_guides` without most of their noise; ``smooths`` says how that of normals goes."""
+def _smooths_normals(frame: Frame, is_best: bool, has_kernels: bool) -> bool:
+    return has_kernels and not is_best and frame.spp is not None and frame.spp >= MIN_SMOOTHED_SPP
+
+
+def _clean_guides(guides: GBuffer, spp: float | None) -> GBuffer:
+    """Return the images of `reduce_guides` without most of their noise; with ``spp`` the normal is smoothed."""
     normal = guides.denoiser_normal
-    if normal is None or not smooths:
+    if normal is None or spp is None:
         return prefilter_guides(guides, PREFILTER_QUALITY)
     # The library's filter of normals takes 0.8 of a plain call.
-    (smooth,) = HERE.pixels(define_smooth, {"image": normal}, {}, (NORMAL_DEVIATION,))
+    deviation = np.float32(NORMAL_DEVIATION / math.sqrt(spp))
+    (smooth,) = HERE.pixels(define_smooth, {"image": normal}, {"deviation": deviation})
     albedo = prefilter_guides(replace(guides, denoiser_normal=None), PREFILTER_QUALITY).denoiser_albedo
     return GBuffer(denoiser_albedo=albedo, denoiser_normal=smooth)
 

@@ -275,18 +275,21 @@ def define_brightened(grid: Grid) -> list[Vector]:
     return [[value + part * gain for value, part in zip(grid.read("image"), grid.read("part"), strict=True)]]
 
 
-def define_smooth(grid: Grid, deviation: float) -> list[Vector]:
+def define_smooth(grid: Grid) -> list[Vector]:
     """Return the mean of an image over 3x3 pixels, weighted by a Gaussian of their differences from the middle one.
+
+    The number "deviation" is that of the Gaussian.
 
     Source: Tomasi and Manduchi 1998, "Bilateral Filtering for Gray and Color Images", equations 5 and 6.
     """
     read = grid.keep(grid.read("image", *grid.inside))
     own = read(grid.x, grid.y)
     total, weights = [hl.f32(0.0) for _ in own], hl.f32(0.0)
+    steepness = hl.f32(-0.5 * math.log2(math.e)) / (grid.get("deviation")[0] * grid.get("deviation")[0])
     for down, across in product((-1, 0, 1), repeat=2):
         near = read(grid.x + across, grid.y + down)
         apart = reduce(add, ((there - here) * (there - here) for there, here in zip(near, own, strict=True)))
-        weight = expressions.exp2(hl.f32(-0.5 * math.log2(math.e) / deviation**2) * apart)
+        weight = expressions.exp2(steepness * apart)
         total = [so_far + weight * there for so_far, there in zip(total, near, strict=True)]
         weights += weight
     return [[value / weights for value in total]]

@@ -128,9 +128,11 @@ def make_shares(sizes: Sequence[int], target: hl.Target) -> Scheduled:
     for func, channels in [*stages, (share, outputs)]:
         func.compute_at(out, column).bound(C, 0, channels).bound_extent(X, PIXELS_AT_ONCE)
         if channels > outputs:
-            func.reorder_storage(C, X, Y).reorder(C, X, Y).vectorize(C, lanes, hl.TailStrategy.GuardWithIf).unroll(X)
+            # A vector beyond the last unit would read what lies behind the weights, and write into the next pixel.
+            vector = math.gcd(channels, lanes)
+            func.reorder_storage(C, X, Y).reorder(C, X, Y).vectorize(C, vector).unroll(X)
             if func.has_update_definition():
-                func.update().reorder(C, X, func.rvars()[0], Y).vectorize(C, lanes).unroll(C).unroll(X)
+                func.update().reorder(C, X, func.rvars()[0], Y).vectorize(C, vector).unroll(C).unroll(X)
         else:
             func.reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X)
             if func.has_update_definition():
