@@ -52,7 +52,7 @@ PAGES = {
     "docs/developers/interactive.md": Source(
         interactive.make_figures, ("interactive_quality", "interactive", "viewer")
     ),
-    "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget")),
+    "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget", "files")),
     "docs/developers/quality.md": Source(mechanisms.make_mechanism_figures, ("switched_off",)),
     "docs/developers/quality_results.md": Source(quality.make_figures, ("quality",)),
     "docs/developers/renderers_results.md": Source(groups.make_figures, ("groups",)),

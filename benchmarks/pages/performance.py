@@ -13,7 +13,7 @@ TIMED = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "ggx")
 """Names in filters.json."""
 
 
-def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, str]:
+def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any], files: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/developers/performance.md by place."""
     return {
         "run": list_facts({"Machine": describe_run(filters)}),
@@ -21,6 +21,7 @@ def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[
         "peer": make_peer_rows(filters),
         "budget-run": list_facts({"Machine": f"{budget['machine']['processor']}, one thread"}),
         "budget": make_budget_rows(budget),
+        "files": make_file_rows(files),
     }
 
 
@@ -89,6 +90,16 @@ def make_peer_rows(filters: Mapping[str, Any]) -> str:
                 told = [f"{t} ({g:g}: {judge(v >= g)})" for t, v, g in zip(told, values, goals, strict=True)]
             rows.append([size, name, f"{cell['milliseconds']:.0f} ms", *told])
     return make_table(["size", "what", "time", "times faster than default (goal)", "than `fast` (goal)"], rows)
+
+
+def make_file_rows(files: Mapping[str, Any]) -> str:
+    """Return the table of reading and writing files."""
+    steps = ("read", "write", "OpenEXR read", "OpenEXR write")
+    rows = [
+        [name, *(f"{each[step]:.2f}" for step in steps), f"{each['over OpenEXR']:.2f}"]
+        for name, each in files["files"].items()
+    ]
+    return make_table(["file", *(f"{step}, s" for step in steps), "both over OpenEXR"], rows)
 
 
 def make_budget_rows(budget: Mapping[str, Any]) -> str:

@@ -5,8 +5,8 @@
 reads files of several renderers, sizes and compressions with `lobewise.read_frame`, filters them by the quality "fast"
 and writes the result into a copy with `lobewise.write_result`. OpenEXR reads the same file and writes the same copy in
 turn, with as many threads. Files of Arnold and Mitsuba are those in the folder that LOBEWISE_TEST_DATA names. All are
-repeated to the same sizes. It exits with 1 where reading and writing take more than `LARGEST_RISE` times as much of
-OpenEXR's time as in the older file of ``--against``.
+repeated to the same sizes; ``--frame`` names a Blender frame that is measured as it is. The program exits with 1 where
+reading and writing take more than `LARGEST_RISE` times as much of OpenEXR's time as in the older file of ``--against``.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,16 +40,6 @@ COMPRESSIONS = {
 TILE_SIDE_PIXELS = 64
 ROUNDS = 3
 """Runs of each step, of which the least time counts."""
-
-
-def list_cases() -> Iterator[tuple[str, str, str, bool]]:
-    """Yield renderer, size, compression and whether there are tiles."""
-    for renderer in ("Blender", "Arnold", "Mitsuba", "lobewise"):
-        for size in SIZES:
-            yield renderer, size, "ZIP", False
-    for compression in ("ZIPS", "PIZ", "DWAA"):
-        yield "Blender", "2", compression, False
-    yield "Blender", "2", "ZIP", True
 
 
 def repeat_file(source: Path, path: Path, size: tuple[int, int], compression: str, *, tiled: bool) -> None:
@@ -96,12 +86,25 @@ def measure(path: Path, folder: Path) -> dict[str, float]:
     return {**{name: round(seconds, 3) for name, seconds in least.items()}, "over OpenEXR": round(whole, 3)}
 
 
-def find_sources(shot: Path) -> Mapping[str, Path]:
-    """Return the file that stands for each renderer, of those that are there."""
+def list_cases(shot: Path, frame: Path | None) -> dict[str, Callable[[Path], Path]]:
+    """Return by name what makes each file in a folder, of those whose sources are there, and returns its path."""
     data = Path(os.environ.get("LOBEWISE_TEST_DATA", "")) / "exr"
     sources = {"Blender": shot, "Arnold": data / "arnold_multichannel.exr", "lobewise": SHOWROOM}
     sources["Mitsuba"] = data / "mitsuba_multi_channels.exr"
-    return {name: path for name, path in sources.items() if path.is_file()}
+    kinds = [(renderer, size, "ZIP", False) for renderer in sources for size in SIZES]
+    kinds += [("Blender", "2", compression, False) for compression in COMPRESSIONS if compression != "ZIP"]
+    kinds += [("Blender", "2", "ZIP", True)]
+
+    def repeat(source: Path, size: str, compression: str, tiled: bool, folder: Path) -> Path:
+        repeat_file(source, folder / "source.exr", SIZES[size], compression, tiled=tiled)
+        return folder / "source.exr"
+
+    cases: dict[str, Callable[[Path], Path]] = {} if frame is None else {"Blender, frame": lambda _: frame}
+    for renderer, size, compression, tiled in kinds:
+        if sources[renderer].is_file():
+            name = f"{renderer}, {size} megapixels, {compression}{', tiles' if tiled else ''}"
+            cases[name] = partial(repeat, sources[renderer], size, compression, tiled)
+    return cases
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -111,20 +114,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--against", type=Path, nargs="?", const=RESULT, help=f"an older result ({RESULT.name})")
     parser.add_argument("--only", default="", help="cases whose name has this in it; the others keep their figures")
     parser.add_argument("--shot", type=Path, required=True, help="a Blender frame of benchmarks/foreign/factory")
+    parser.add_argument("--frame", type=Path, help="a Blender frame of 1920x1080 pixels")
     asked = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     OpenEXR.set_global_thread_count(len(os.sched_getaffinity(0)))
     before = json.loads(asked.against.read_text())["files"] if asked.against else {}
     found = json.loads(asked.output.read_text())["files"] if asked.output.exists() else {}
-    machine, sources, slower = describe_machine(), find_sources(asked.shot), []
-    for renderer, size, compression, tiled in list_cases():
-        name = f"{renderer}, {size} megapixels, {compression}{', tiles' if tiled else ''}"
-        if asked.only not in name or renderer not in sources:
+    machine, slower = describe_machine(), []
+    for name, make in list_cases(asked.shot, asked.frame).items():
+        if asked.only not in name:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "source.exr"
-            repeat_file(sources[renderer], path, SIZES[size], compression, tiled=tiled)
-            found[name] = {**measure(path, Path(folder)), "commit": machine["commit"]}
+            found[name] = {**measure(make(Path(folder)), Path(folder)), "commit": machine["commit"]}
         told = ", ".join(f"{key} {value}" for key, value in found[name].items())
         print(f"{name}: {told} ({before.get(name, {}).get('over OpenEXR', 'new')})", flush=True)
         if name in before and found[name]["over OpenEXR"] > LARGEST_RISE * before[name]["over OpenEXR"]:
