@@ -51,7 +51,7 @@ def repeat_file(source: Path, path: Path, size: tuple[int, int], compression: st
         copies = -(-height // plane.shape[0]), -(-width // plane.shape[1])
         return np.ascontiguousarray(np.tile(plane, copies)[:height, :width])
 
-    own = ("channels", "chunkCount", "dataWindow", "displayWindow", "tiles", "type")
+    own = ("channels", "chunkCount", "dataWindow", "displayWindow", "lineOrder", "tiles", "type")
     header = {name: value for name, value in before.header().items() if name not in own}
     header["compression"] = COMPRESSIONS[compression]
     header["type"] = OpenEXR.tiledimage if tiled else OpenEXR.scanlineimage
