@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.guides.squares import average_square, compute_square_maximum, sum_square
+from lobewise.guides.squares import compute_square_maximum, sum_square
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.images import crop_columns
 
@@ -136,8 +136,34 @@ def _mark_smooth(light: FloatArray) -> Mask:
 def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: float) -> Mask:
     """Return which candidates are ``factor`` times as bright as enough of the means around them."""
     outshining = np.zeros_like(candidates)
-    level = np.floor(np.log(np.maximum(bright, 1e-30)) / np.log(LEVEL_RATIO)).astype(int)
-    for candidate_level in np.unique(level[candidates]):
-        share = average_square((around < LEVEL_RATIO**candidate_level / factor).astype(np.float32), COMPARED_RADIUS)
-        outshining |= candidates & (level == candidate_level) & (share >= MIN_DARKER_SHARE)
+    rows, columns = np.nonzero(candidates)
+    if not len(rows):
+        return outshining
+    levels = np.floor(np.log(np.maximum(bright[rows, columns], 1e-30)) / np.log(LEVEL_RATIO)).astype(int)
+    order = np.argsort(levels, kind="stable")
+    found, firsts = np.unique(levels[order], return_index=True)
+    for level, some in zip(found, np.split(order, firsts[1:]), strict=True):
+        places = rows[some], columns[some]
+        darker, area = _count_around(around, LEVEL_RATIO**level / factor, *places)
+        outshining[places] = darker >= MIN_DARKER_SHARE * area
     return outshining
+
+
+def _count_around(
+    around: FloatArray, most: float, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how many means below ``most`` lie in the square of `COMPARED_RADIUS` around some pixels, and its area."""
+    sides = []
+    for places, length in ((rows, around.shape[0]), (columns, around.shape[1])):
+        low = np.maximum(places - COMPARED_RADIUS, 0)
+        sides.append((low, np.minimum(places + COMPARED_RADIUS + 1, length)))
+    (top, bottom), (left, right) = sides
+    # A table of sums over the part of the image that the squares cover.
+    first, start = top.min(), left.min()
+    part = around[first : bottom.max(), start : right.max()] < most
+    sums = np.zeros((part.shape[0] + 1, part.shape[1] + 1), np.int32)
+    np.cumsum(part, axis=0, out=sums[1:, 1:])
+    np.cumsum(sums[1:, 1:], axis=1, out=sums[1:, 1:])
+    above, below, before, after = top - first, bottom - first, left - start, right - start
+    count = sums[below, after] - sums[above, after] - sums[below, before] + sums[above, before]
+    return count, (bottom - top) * (right - left)

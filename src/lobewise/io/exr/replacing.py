@@ -157,13 +157,15 @@ def _encode(container: Container, planes: _Planes, stream: BinaryIO) -> tuple[Ch
 
 def _fill(spool: ChunkSpool, container: Container, planes: _Planes, *, checked: bool) -> bool:
     """Encode all rows; return whether untouched channels kept their values, which is tested only if ``checked``."""
-    height, step = planes.part.data_window.height, count_fitting_rows(planes.part)
-    for first in range(0, height, step):
-        stop = min(first + step, height)
+    height, step, first = planes.part.data_window.height, count_fitting_rows(planes.part), 0
+    while first < height:
+        # Where a compression loses, the first rows show it.
+        stop = min(first + (planes.part.rows_per_chunk if checked and not first else step), height)
         pixels = planes.read(container, first, stop)
         data = spool.add(first, stop, pixels)
         if checked and not _keeps(data, pixels, planes.unchanged):
             return False
+        first = stop
     return True
 
 
