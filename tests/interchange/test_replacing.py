@@ -12,7 +12,10 @@ from renderers import REAL, WRITERS, make_scene, write, write_denoised
 import lobewise
 from lobewise.cli.program import run
 from lobewise.interchange import import_file, write_result
+from lobewise.interchange.imported import ImageReader
+from lobewise.interchange.mapping import map_file
 from lobewise.interchange.reading import list_selections
+from lobewise.io.exr.container import Part
 from lobewise.io.exr.header import DENOISED
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
@@ -159,6 +162,25 @@ def test_a_result_finds_the_file_of_its_frame(tmp_path: Path, monkeypatch: pytes
     os.utime(source, (1.0, 1.0))
     write_result(tmp_path / "changed.exr", result, source=source)
     assert reads == [other, source]
+
+
+def test_a_part_is_decoded_before_threads_take_chunks_of_it(tmp_path: Path) -> None:
+    """Threads that decode would each decode the whole part."""
+    source, decoded = tmp_path / "a.exr", []
+    write(source, WRITERS["cycles"](make_scene()), part_each=True)
+    container = read_container(source)
+
+    def decode(part: Part, names: frozenset[str]) -> Any:
+        decoded.append(part.index)
+        return decode_part(container, part, names)
+
+    read, found = ImageReader(decode), map_file(container).layers[0].light[0]
+    take = read.open(found)
+    assert decoded == [found.source.part.index]
+    chunk = slice(3, 9), slice(0, 5)
+    np.testing.assert_array_equal(take(chunk), read(found)[chunk])
+    np.testing.assert_array_equal(read.open(found)(chunk), take(chunk))
+    assert len(decoded) == 1
 
 
 def make_groups(tmp_path: Path) -> Path:

@@ -13,7 +13,7 @@ from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
-from lobewise.io.exr.layout import join_chunk, join_planes
+from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import DTYPES, Pixels
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.images import make_read_only
@@ -142,12 +142,21 @@ class ImageReader:
             self._images |= {found.key: make_read_only(image=image)["image"]}
         return self._images[found.key]
 
-    def multiply(self, found: Found, factor: FloatArray, chunk: Chunk, out: FloatArray) -> None:
-        """Fill a chunk of ``out`` with an image times a factor. The image is not kept: few passes of light are."""
+    def open(self, found: Found) -> Callable[[Chunk], FloatArray]:
+        """Return a function that returns a chunk of an image, from any thread; the whole image is not kept."""
         whole = self._images.get(found.key)
-        if whole is None:
-            join_chunk(self.read_planes(found), chunk, out[chunk])
-        np.multiply(out[chunk] if whole is None else whole[chunk], factor[chunk], out=out[chunk])
+        if whole is not None:
+            return whole.__getitem__
+        check_limits()
+        planes = self.read_planes(found)
+
+        def join(chunk: Chunk) -> FloatArray:
+            image = np.empty((*planes[0][chunk].shape, len(planes)), np.float32)
+            for index, plane in enumerate(planes):
+                image[..., index] = plane[chunk]
+            return image
+
+        return join
 
     def with_images(self, changed: Mapping[Key, FloatArray]) -> ImageReader:
         """Return a reader that returns the images in ``changed`` instead of those of the file."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any, Protocol
@@ -53,8 +53,8 @@ class Reader(Protocol):
     def __call__(self, found: Found) -> FloatArray:
         """Return an image."""
 
-    def multiply(self, found: Found, factor: FloatArray, chunk: Chunk, out: FloatArray) -> None:
-        """Fill a chunk of ``out`` with an image times a factor."""
+    def open(self, found: Found) -> Callable[[Chunk], FloatArray]:
+        """Return a function that returns a chunk of an image, from any thread."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,8 @@ def _make_layer(layer_pass: FoundLayer, read: Reader, known: FloatArray) -> tupl
     """Return a layer, and the channels that receive it. Add its finite light to ``known``."""
     albedo = read(layer_pass.albedo) if layer_pass.albedo else None
     factor = albedo if layer_pass.rule.times_albedo else None
-    parts, total = _add_passes(layer_pass.light, read, factor, known)
+    parts, total = _sum_passes(layer_pass.light, read, factor, known.shape)
+    _add_finite(known, total)
     names = [name_pass(one.source.path) for one in layer_pass.light]
     named = make_read_only(**dict(zip(names, parts, strict=True))) if len(parts) > 1 else {}
     shares = albedo
@@ -184,26 +185,25 @@ def name_pass(path: str) -> str:
     return path.rpartition(".")[2]
 
 
-def _add_passes(
-    passes: Sequence[Found], read: Reader, factor: FloatArray | None, known: FloatArray
+def _sum_passes(
+    passes: Sequence[Found], read: Reader, factor: FloatArray | None, shape: tuple[int, ...]
 ) -> tuple[list[FloatArray], FloatArray]:
-    """Return the passes times ``factor``, and their sum. Add the finite values of the sum to ``known``."""
-    parts = [read(one) if factor is None else np.empty_like(known) for one in passes]
-    total = parts[0] if len(parts) == 1 else np.empty_like(known)
+    """Return the passes times ``factor``, each of the same shape, and their sum."""
+    parts = [read(one) if factor is None else np.empty(shape, np.float32) for one in passes]
+    total = parts[0] if len(parts) == 1 else np.empty(shape, np.float32)
+    # Decode before the threads start: they would decode one part several times.
+    opened = [] if factor is None else [read.open(one) for one in passes]
 
     def add(chunk: Chunk) -> None:
         # Set this inside the worker: NumPy keeps error settings per thread.
         with np.errstate(invalid="ignore", over="ignore"):
             if factor is not None:
-                for part, one in zip(parts, passes, strict=True):
-                    read.multiply(one, factor, chunk, part)
+                for part, take in zip(parts, opened, strict=True):
+                    np.multiply(take(chunk), factor[chunk], out=part[chunk])
             if len(parts) > 1:
-                np.add(parts[0][chunk], parts[1][chunk], out=total[chunk])
-                for part in parts[2:]:
-                    total[chunk] += part[chunk]
-            np.add(known[chunk], total[chunk], out=known[chunk], where=np.isfinite(total[chunk]))
+                total[chunk] = reduce(np.add, [part[chunk] for part in parts])
 
-    run_chunks(add, known.shape[0], known.shape[1])
+    run_chunks(add, *shape[:2])
     return parts, total
 
 

@@ -101,7 +101,7 @@ QUALITIES: Mapping[str, Quality] = {
             name="fast", forms=FORM_NAMES, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.58
         ),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.27),
-        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=570, seconds_per_megapixel=2.75),
+        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=670, seconds_per_megapixel=2.75),
         Quality(name="best", reads_halves=True, needs_oidn=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.27),
     )
 }

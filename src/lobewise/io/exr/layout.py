@@ -209,17 +209,12 @@ def convert_plane(plane: NDArray[Any], dtype: np.dtype[Any]) -> Pixels:
 
 
 def join_planes(planes: Sequence[Pixels]) -> FloatArray:
-    """Return the image of these channels."""
+    """Return the image of these channels. Conversion while copying takes a fifth of the time of two steps."""
     image = np.empty((*planes[0].shape, len(planes)), dtype=np.float32)
 
     def join(chunk: Chunk) -> None:
-        join_chunk(planes, chunk, image[chunk])
+        for index, plane in enumerate(planes):
+            image[(*chunk, index)] = plane[chunk]
 
     run_chunks(join, *planes[0].shape)
     return image
-
-
-def join_chunk(planes: Sequence[Pixels], chunk: Chunk, image: FloatArray) -> None:
-    """Fill a chunk of an image with its channels. Conversion while copying takes a fifth of the time of two steps."""
-    for index, plane in enumerate(planes):
-        image[..., index] = plane[chunk]
