@@ -141,6 +141,27 @@ def test_a_lamp_in_view_stays_in_its_own_light_group(quality: str) -> None:
     np.testing.assert_allclose(total, result.image, rtol=2e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_a_lamp_out_of_focus_stays_in_its_own_pass(quality: str) -> None:
+    """Few samples meet it. A dim surface, which has hardly any noise, takes nothing of what is added to the picture."""
+    rng, frame = np.random.default_rng(2), make_frame(SHAPE, apart=False)
+    met = rng.random((*SHAPE, 1)) < 0.06
+    lamp = np.where(met, np.float32(100.0), np.float32(0.0)) * np.ones(3, np.float32)
+    surface = np.where(met, np.float32(0.15), np.float32(0.2)) * np.ones(3, np.float32)
+    layer = RadianceLayer("diffuse", "diffuse", surface, frame.gbuffer.diffuse_albedo, parts={"direct": surface})
+    frame = frame.with_changes(
+        radiance=Radiance(surface + lamp, surface, np.zeros_like(surface)),
+        gbuffer=replace(frame.gbuffer, blur_radius=np.full(SHAPE, 12.0, np.float32)),
+        layers=(layer,),
+        unscattered={"emission": lamp},
+        spp=8,
+    )
+    result = denoise(frame, quality=quality)
+    assert np.quantile(result.also["diffuse/direct"], 0.75) < 0.25
+    total = result.also["diffuse/direct"] + {**frame.unscattered, **result.also}["emission"]
+    np.testing.assert_allclose(total, result.image, rtol=2e-3, atol=1e-4)
+
+
 def make_planes() -> tuple[Frame, FloatArray]:
     """Return a frame of gray light on colourful textures, with bands and planes of values, and the truth of a band."""
     rng = np.random.default_rng(5)

@@ -1,6 +1,7 @@
 """Results go back where they came from; every other channel, part and attribute stays, bit for bit."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,22 @@ def test_layers_still_add_up(part_each: bool, tmp_path: Path) -> None:
 
     parts = get("DiffCol") * (get("DiffDir") + get("DiffInd")) + get("GlossCol") * (get("GlossDir") + get("GlossInd"))
     np.testing.assert_allclose(parts + get("Env"), get("Combined"), rtol=1e-4, atol=1e-4 * get("Combined").mean())
+
+
+def test_light_without_an_albedo_goes_to_the_other_layers(tmp_path: Path) -> None:
+    """The file cannot hold it in its own pass; the passes still add up to the picture."""
+    source, output, scene = tmp_path / "a.exr", tmp_path / "b.exr", make_scene()
+    scene.specular_albedo[::2], scene.specular[::2] = 0.0, 0.0
+    write(source, WRITERS["cycles"](scene))
+    result = lobewise.denoise(lobewise.read_frame(source), quality="fast", with_oidn=False)
+    added = np.full_like(result.image, 0.1)
+    also = {**result.also, "glossy/GlossDir": result.also["glossy/GlossDir"] + added}
+    layers = {**result.layers, "glossy": result.layers["glossy"] + added}
+    lobewise.write_result(output, replace(result, image=result.image + added, layers=layers, also=also), source=source)
+    found = lobewise.read_frame(output).radiance
+    seen = scene.surface & (scene.diffuse_albedo.min(axis=-1) > 0.0)
+    np.testing.assert_allclose((found.diffuse + found.specular)[seen], found.color[seen], rtol=1e-4, atol=1e-4)
+    assert not found.specular[::2].any()
 
 
 @pytest.mark.sampled("cycles-settings0")

@@ -34,6 +34,7 @@ from lobewise.denoising.combining import (
     denoise_with_peer,
     list_peer_costs,
     mix_layers,
+    share_by_noise,
     share_out,
 )
 from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy, takes_back
@@ -478,8 +479,7 @@ def mix_unguided(
     with plan_stages({step: SECONDS_PER_MEGAPIXEL[step] for step in (FILTER_HALVES, REFINE, TAKE_BACK)}):
         _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
     mixed = mix_noisy(filtered.image, alone.image, share)
-    image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
-    return replace(filtered, image=image, parts=parts), [gain]
+    return scale_parts(frame, replace(filtered, image=mixed), filtered.image, filtered.parts, surface)
 
 
 def mix_peer(
@@ -506,8 +506,27 @@ def mix_peer(
             filtered, image=mix_noisy(filtered.image, noisy, share), parts=parts, taken_from=filtered, share_taken=share
         )
     before, parts = mix_layers(filtered.image, filtered.parts, peer.layers)
-    image, parts, gain = share_out(mixed, before, parts, surface)
-    return replace(filtered, image=image, parts=parts), [gain]
+    return scale_parts(frame, replace(filtered, image=mixed), before, parts, surface)
+
+
+def scale_parts(
+    frame: Frame,
+    filtered: Filtered,
+    before: FloatArray,
+    parts: Sequence[FloatArray],
+    surface: NDArray[np.bool_],
+) -> tuple[Filtered, list[FloatArray]]:
+    """Bring ``parts`` of an image ``before`` to the image of ``filtered``; return the factors of the other light.
+
+    Where a lens blurs it, the other light has noise as layers have, and takes a share of the difference instead.
+    """
+    image, scaled, gain = share_out(filtered.image, before, parts, surface)
+    rest = None if filtered.sharing is None else compute_rest(frame)
+    if rest is None:
+        return replace(filtered, image=image, parts=scaled), [gain]
+    averaged = np.maximum(before - sum_parts(parts), np.float32(0.0))
+    *scaled, rest = share_by_noise(image, [*parts, averaged], [*filtered.noisy, rest])
+    return replace(filtered, image=image, parts=scaled, rest=rest), []
 
 
 def list_peer_layers(frame: Frame, filtered: Filtered) -> list[LayerImage]:

@@ -369,9 +369,10 @@ def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequen
         The filtered parts and their samples. What is not finite counts as 0.
     """
     good, samples = ([make_finite(each) for each in some] for some in (parts, noisy))
-    side = np.float32(2 * NOISE_RADIUS + 1)
+    side, most_noise = np.float32(2 * NOISE_RADIUS + 1), np.float32(math.sqrt(MAX_NEAR))
     variances = [
-        sum_square(np.square(one - part), NOISE_RADIUS) / (side * side) for part, one in zip(good, samples, strict=True)
+        sum_square(np.square(np.clip(one - part, -most_noise, most_noise)), NOISE_RADIUS) / (side * side)
+        for part, one in zip(good, samples, strict=True)
     ]
     apart, total = image - sum_finite(good), sum_finite(variances)
     shared, added = [], []

@@ -13,7 +13,7 @@ from weakref import ref
 import numpy as np
 
 from lobewise import engine
-from lobewise.denoising.also import keep_sum, list_alone
+from lobewise.denoising.also import bring_parts, keep_sum, list_alone
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Filtered, clean_frame, name_layers
@@ -341,12 +341,12 @@ def filter_below(below: Frame, above: Frame, named: DenoiseSettings, features: S
 
 def scale_unscattered(frame: Frame, filtered: Filtered, gains: Sequence[FloatArray]) -> dict[str, FloatArray]:
     """Return emission and background where a lens blurs them, or where they were scaled."""
-    sharing = filtered.sharing
-    if not gains and sharing is None:
+    sharing, unscattered = filtered.sharing, frame.unscattered
+    if sharing is not None and filtered.rest is not None and unscattered:
+        averaged = [sharing.apply(blacken_bad(light)) for light in unscattered.values()]
+        return bring_parts(unscattered, averaged, filtered.rest)
+    if not gains:
         return {}
-    unscattered = dict(frame.unscattered)
-    if sharing is not None:
-        unscattered = {name: sharing.apply(blacken_bad(light)) for name, light in unscattered.items()}
     scaled = {name: reduce(np.multiply, gains, light) for name, light in unscattered.items()}
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 

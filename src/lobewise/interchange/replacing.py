@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ KEPT_SUFFIX = "_before"
 """Suffix of the pass that keeps the renderer's own denoised image, which the result replaced."""
 MIN_DIVISOR_ALBEDO = 1e-6
 """Albedo up to which a layer is written as 0 instead of divided by the albedo."""
+
+MIN_LIGHT = 1e-30
+"""Radiance up to which light counts as black, so that no factor brings it to other light."""
 
 Planes = dict[int, dict[str, FloatArray]]
 """Channel values by index of the part and name of the channel."""
@@ -205,7 +209,7 @@ def require_target(origin: Origin) -> None:
 
 def _plan_planes(origin: Origin, result: Result) -> Planes:
     """Return the new values of the channels that receive results."""
-    images = _list_images(result)
+    images = _move_hidden_light(origin, _list_images(result), result.layers)
     planes: Planes = {}
     # Rescaled exact light adds up to the image only with the filtered passes, so keep it if any pass stays noisy.
     keeps_exact = bool(_list_left(origin, images))
@@ -219,6 +223,30 @@ def _plan_planes(origin: Origin, result: Result) -> Planes:
         mine = planes.setdefault(output.target.source.part.index, {})
         mine |= {channel: image[..., k] for k, channel in enumerate(output.target.channels)}
     return planes
+
+
+def _move_hidden_light(
+    origin: Origin, images: Mapping[str, FloatArray], layers: Collection[str]
+) -> Mapping[str, FloatArray]:
+    """Return images of which passes without an albedo at a pixel have given their light to the other ``layers`` there.
+
+    A file holds the light of a layer divided by its albedo. Where no sample met the layer's surface both are 0, and the
+    light that filters bring from the pixels around would be missing from the sum of the passes.
+    """
+    albedos = {
+        name: output.divided_by
+        for name, output in origin.outputs.items()
+        if name in images and name.partition("/")[0] in layers
+    }
+    shown = {
+        name: images[name] if albedo is None else np.where(albedo > MIN_DIVISOR_ALBEDO, images[name], np.float32(0.0))
+        for name, albedo in albedos.items()
+    }
+    if all(np.array_equal(image, images[name]) for name, image in shown.items()):
+        return images
+    total, visible = (reduce(np.add, some) for some in ([images[name] for name in shown], shown.values()))
+    factor = np.divide(total, visible, out=np.ones_like(total), where=np.minimum(total, visible) > MIN_LIGHT)
+    return {**images, **{name: image * factor for name, image in shown.items()}}
 
 
 def _list_left(origin: Origin, images: Mapping[str, FloatArray]) -> list[str]:
