@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
     parser.add_argument("--spp", type=int, help="samples per pixel of the noisy frame, instead of those that are drawn")
-    parser.add_argument("--reference", type=int, help="samples per pixel of all three references together, likewise")
+    parser.add_argument("--reference", type=int, help="samples per pixel of all references together, likewise")
     parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
     parser.add_argument("--groups", action="store_true", help="put lamps and sky into light groups")
     parser.add_argument(
@@ -62,7 +62,8 @@ def main() -> None:
             size = asked.width, round(plan.size[1] * asked.width / plan.size[0])
             plan = replace(plan, size=size, spp=(16,), reference_spp=(400,))
         if asked.films:
-            render_film(asked.folder, plan, random, asked.threads)
+            more = {"reference_spp": asked.reference // 2} if asked.reference else {}
+            render_film(asked.folder, plan, random, asked.threads, **more)
         else:
             render_shot(asked.folder, plan, random, asked.threads, groups=asked.groups)
 

@@ -19,14 +19,16 @@ from shots import describe_shot, make_scene, set_threads
 FRAMES = 12
 SPP, REFERENCE_SPP = 16, 96
 """Samples of the noisy frames, and of each of the two references."""
-MAX_TURN = 0.16
-"""Largest angle by which the camera goes around what it looks at, radians over the film."""
+MAX_TURN, MAX_PAN = 0.16, 0.2
+"""Largest angles by which the camera goes around what it looks at, and turns about itself, radians over the film."""
 MAX_THINGS = 2
 MAX_SIZE_OVER_DISTANCE = 0.4
 """Size of the largest thing that moves, over its distance from the camera."""
 
 
-def render_film(folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0) -> None:
+def render_film(
+    folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0, *, reference_spp: int = REFERENCE_SPP
+) -> None:
     """Render all files of a film that are not there: 16.0001.exr and on, reference_1.0001.exr, reference_2.0001.exr."""
     target = folder / f"{plan.kind}_{plan.seed}"
     if (target / f"reference_2.{FRAMES:04d}.exr").exists():
@@ -43,16 +45,20 @@ def render_film(folder: Path, plan: Plan, random: np.random.Generator, threads: 
     (target / "moves.json").write_text(json.dumps(moves, indent=1) + "\n")
     render_frames(target / f"{SPP}.exr", SPP, plan.seed, FRAMES)
     for part in (1, 2):
-        render_frames(target / f"reference_{part}.exr", REFERENCE_SPP, 7776 + part, FRAMES, depth="32")
+        render_frames(target / f"reference_{part}.exr", reference_spp, 7776 + part, FRAMES, depth="32")
     print(f"wrote {target}, {time.process_time() - start:.0f} s of CPU", flush=True)
 
 
 def move_scene(seed: int, random: np.random.Generator) -> list[str]:
     """Let something move, by the seed; return what: the camera for even seeds, things and a lamp for odd ones.
 
-    Every fourth film has motion blur, and so no pass Vector.
+    Of the films in which the camera moves every other one is a pan. Every fourth film has motion blur, and so no pass
+    Vector.
     """
-    moves = move_things(random) + move_lamp(random) if seed % 2 else move_camera(random)
+    if seed % 2:
+        moves = move_things(random) + move_lamp(random)
+    else:
+        moves = pan_camera(random) if seed % 4 == 2 else move_camera(random)
     if seed % 4 == 3:
         bpy.context.scene.render.use_motion_blur = True
         moves.append("motion blur")
@@ -84,6 +90,16 @@ def move_camera(random: np.random.Generator) -> list[str]:
     animate(camera, "location", places, FRAMES)
     animate(camera, "rotation_euler", angles, FRAMES)
     return [f"the camera turns by {math.degrees(turn):.1f} degrees"]
+
+
+def pan_camera(random: np.random.Generator) -> list[str]:
+    """Let the camera turn about itself."""
+    camera = bpy.context.scene.camera
+    pan = random.uniform(0.5, 1.0) * MAX_PAN * random.choice((-1.0, 1.0))
+    start = camera.matrix_world.to_3x3()
+    turns = [Matrix.Rotation(pan * share, 3, "Z") @ start for share in np.linspace(-0.5, 0.5, FRAMES)]
+    animate(camera, "rotation_euler", [tuple(turn.to_euler()) for turn in turns], FRAMES)
+    return [f"the camera pans by {math.degrees(pan):.1f} degrees"]
 
 
 def move_things(random: np.random.Generator) -> list[str]:

@@ -8,13 +8,14 @@ import numpy as np
 
 _FIRST = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
 _LATER = ("windows", "print", "fabric", "candle", "helmet", "depth")
-VALIDATION = (*_FIRST, *_LATER)
+_FOR_FILMS = ("tiles",)
+VALIDATION = (*_FIRST, *_LATER, *_FOR_FILMS)
 """Nothing may ever be tuned or trained on frames of these kinds."""
 TRAINING = (
     "product", "room", "glass", "brushed", "toys", "wax", "archviz", "gallery", "screens", "film",
     "bristles", "steam", "party",
 )  # fmt: skip
-ORDER = (*_FIRST, *TRAINING, *_LATER)
+ORDER = (*_FIRST, *TRAINING, *_LATER, *_FOR_FILMS)
 """A kind's place is part of its seeds: a new kind comes last."""
 VALIDATION_SPP = (4, 16, 64)
 REFERENCE_PARTS = 3
@@ -76,6 +77,7 @@ KINDS = {
     "fabric": Kind("crafts", 300, sizes=3),
     "candle": Kind("crafts", 330, (0.15, 0.3), sizes=3),
     "helmet": Kind("crafts", 360, sizes=3),
+    "tiles": Kind("textured", 300, sizes=3),
     "depth": Kind("panes", 450, (0.15, 0.3), sizes=3, halves=True),
 }
 
