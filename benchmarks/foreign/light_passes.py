@@ -1,6 +1,6 @@
 """Measure passes of light: ``python -m benchmarks.foreign.light_passes FOLDER [--before SOURCES]``.
 
-FOLDER is that of the factory of Blender's files. `lobewise denoise` writes each ``16.exr``, by the default. The error of
+FOLDER is that of the factory of Blender's files. `lobewise denoise` writes each ``16.exr`` anew. The error of
 a pass is that of the light it adds to the picture, its light times the color of its layer, freed of the noise of the
 references and without the worst pixels. ``--before`` names the sources of an earlier version, whose files are measured
 beside. The peer is Open Image Denoise on each pass with the guides of the picture, as in Blender's compositor. ``sum``
