@@ -231,7 +231,8 @@ def _move_hidden_light(
     """Return images of which passes without an albedo at a pixel have given their light to the other ``layers`` there.
 
     A file holds the light of a layer divided by its albedo. Where no sample met the layer's surface both are 0, and the
-    light that filters bring from the pixels around would be missing from the sum of the passes.
+    light that filters bring from the pixels around would be missing from the sum of the passes. Where no layer has an
+    albedo, background and emission take it.
     """
     albedos = {
         name: output.divided_by
@@ -244,9 +245,15 @@ def _move_hidden_light(
     }
     if all(np.array_equal(image, images[name]) for name, image in shown.items()):
         return images
-    total, visible = (reduce(np.add, some) for some in ([images[name] for name in shown], shown.values()))
-    factor = np.divide(total, visible, out=np.ones_like(total), where=np.minimum(total, visible) > MIN_LIGHT)
-    return {**images, **{name: image * factor for name, image in shown.items()}}
+    exact = {name: images[name] for name, output in origin.outputs.items() if output.is_exact and name in images}
+    missing, moved = reduce(np.add, (images[name] - image for name, image in shown.items())), dict(images)
+    for takers in (shown, exact):
+        seen = reduce(np.add, takers.values(), np.zeros_like(missing))
+        takes = (seen > MIN_LIGHT) & (seen + missing > MIN_LIGHT)
+        factor = np.divide(seen + missing, seen, out=np.ones_like(seen), where=takes)
+        moved |= {name: image * factor for name, image in takers.items()}
+        missing = np.where(takes, np.float32(0.0), missing)
+    return moved
 
 
 def _list_left(origin: Origin, images: Mapping[str, FloatArray]) -> list[str]:
