@@ -258,11 +258,13 @@ def estimate_seconds_per_megapixel(near: list[Step], settings: ResolvedSettings)
 
 
 def count_bytes(record: Any) -> int:
-    """Return the bytes of all arrays of a frame, of the records and collections in it."""
+    """Return the bytes of all arrays of a frame, of the records and collections in it, but its file's `Origin`."""
     if isinstance(record, np.ndarray):
         return record.nbytes
     if isinstance(record, Mapping):
         return sum(map(count_bytes, record.values()))
     if isinstance(record, tuple):
         return sum(map(count_bytes, record))
-    return sum(count_bytes(getattr(record, item.name)) for item in fields(record)) if is_dataclass(record) else 0
+    if not is_dataclass(record):
+        return 0
+    return sum(count_bytes(getattr(record, item.name)) for item in fields(record) if item.name != "origin")

@@ -26,9 +26,9 @@ MIN_RELATIVE_VARIANCE = 1e-6
 """Smallest variance of a difference of samples, over the squared local light."""
 MIN_RELATIVE_NOISE = 1e-6
 """Smallest variance of samples, over the squared local light."""
-SMEARED_SHARE = 0.1
-"""Difference of two denoised images, over the local light, at which one counts half for the other: above it the light
-has changed more often than a denoiser has smeared its noise."""
+SMEARED_SHARE = 0.05
+"""Difference of two denoised images, blurred and over the local light, at which one counts half for the other: above it
+the light has changed more often than a denoiser has smeared its noise."""
 UNCOMPARED_SHARE = 0.1
 """Light below which differences of denoised images count as in the dark, over the mean light of the image."""
 MIN_LIGHT = 1e-4
@@ -88,7 +88,7 @@ def compare_pilots(own: FloatArray, other: FloatArray, agreement: FloatArray) ->
 
 
 def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
-    """Return how alike two denoised images are at each pixel, (height, width), 1 where they are equal, > 0.
+    """Return how alike two denoised images are around each pixel, (height, width), 1 where they are equal, > 0.
 
     Parameters
     ----------
@@ -96,7 +96,8 @@ def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
         Denoised radiance of the frame, and of another frame at the pixels of this one; finite.
     """
     floor = np.float32(UNCOMPARED_SHARE) * _compute_mean(own)
-    return engine.pixels(_define_likeness, {"own": own, "other": other}, {"floor": floor})[0]
+    blurred = {"own": blur_image(own, 1), "other": blur_image(other, 1)}
+    return engine.pixels(_define_likeness, blurred, {"floor": floor})[0]
 
 
 def _define_likeness(grid: Grid) -> list[Vector]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from lobewise.denoising.also import keep_sum
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
-from lobewise.guides.survey import ALBEDOS
 from lobewise.recipes.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, Shown, divide, multiply
 from lobewise.recipes.windows.layers import PILOT, RADIANCE, LayerImages, put_back
 from lobewise.recipes.windows.places import compute_places
 from lobewise.recipes.windows.shots import Shot
-from lobewise.records.frame import FloatArray, Frame, Result
+from lobewise.records.frame import FloatArray, Frame
 
 MIN_SHARE_FOUND = 0.4
 """Share of the surface pixels that another frame must show; below it there is a cut between the frames."""
@@ -45,8 +44,8 @@ class JoinedFrame:
     frames : array, shape (height, width)
         Effective number of frames that were joined at each pixel, >= 1: the variance of the frame over that of the
         joined frame.
-    alone : Result
-        The frame denoised by itself.
+    albedo : array, shape (height, width, 3), or None
+        The albedo of all light, the mean over the frames.
     shown : dict of int to Shown
         Where the neighbours that took part show its surfaces, by their numbers relative to the frame.
     repeated : tuple of int
@@ -55,7 +54,7 @@ class JoinedFrame:
 
     frame: Frame
     frames: FloatArray
-    alone: Result
+    albedo: FloatArray | None
     shown: dict[int, Shown]
     repeated: tuple[int, ...] = ()
 
@@ -76,14 +75,12 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     near = {number: each for number, each in near.items() if not each.repeats}
     own = list(shot.layers.values())
     if not near:
-        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, {}, repeated)
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.whole_albedo, {}, repeated)
     named = {number: shots[number].layers for number in near}
-    guides = _Guides(shot, shots, near)
-    joined = [_join_layer(shot, layer, near, named, guides) for layer in own]
+    joined = [_join_layer(shot, layer, near, named) for layer in own]
     joined_layers = [each.layer for each in joined]
     shares = {layer.name: each.share for layer, each in zip(own, joined, strict=True)}
-    albedos = {name: guides.join(name) for name in ALBEDOS if getattr(shot.frame.gbuffer, name) is not None}
-    frame = put_back(shot.frame, own, joined_layers, albedos, shares)
+    frame = put_back(shot.frame, own, joined_layers, shares)
     effective = count_frames(joined)
     changes: dict[str, Any] = {}
     if frame.spp is not None:
@@ -93,7 +90,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     return JoinedFrame(
         frame.with_changes(**changes),
         effective,
-        shot.alone,
+        join_albedo(shot, shots, near),
         {number - index: each.shown for number, each in near.items()},
         repeated,
     )
@@ -123,38 +120,23 @@ def list_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbou
     return dict(sorted(neighbours.items()))
 
 
-class _Guides:
-    """Joins guides over time: at edges of textures they have the noise of the pixel's samples."""
+def join_albedo(shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour]) -> FloatArray | None:
+    """Return the albedo of all light of a frame joined with those of its neighbours, (height, width, 3), in [0, 1].
 
-    def __init__(self, shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour]) -> None:
-        self._shot = shot
-        self._shots = shots
-        self._near = near
-        self._done: dict[int, FloatArray] = {}
-
-    def join(self, name: str) -> FloatArray:
-        """Return a guide of the G-buffer, joined."""
-        image: FloatArray = getattr(self._shot.frame.gbuffer, name)
-        others = {number: getattr(self._shots[number].frame.gbuffer, name) for number in self._near}
-        return self.join_image(image, others)
-
-    def join_image(self, image: FloatArray, others: Mapping[int, FloatArray | None]) -> FloatArray:
-        """Return an image of the frame joined with those of its neighbours, in [0, 1]."""
-        if id(image) in self._done:
-            return self._done[id(image)]
-        total, weight = np.nan_to_num(image), np.ones(image.shape[:2], np.float32)
-        for number, neighbour in self._near.items():
-            other = others.get(number)
-            if other is not None:
-                values, agreement = neighbour.shown.gather(np.nan_to_num(other))
-                total = total + values * agreement[..., None]
-                weight = weight + agreement
-        # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.
-        own, small = np.nan_to_num(image), np.float32(MIN_DIVIDING_ALBEDO)
-        mean = np.clip(total / weight[..., None], own / MAX_ALBEDO_RATIO - small, own * MAX_ALBEDO_RATIO + small)
-        joined: FloatArray = np.clip(mean, np.float32(0.0), np.float32(1.0))
-        self._done[id(image)] = joined
-        return joined
+    At edges of textures the albedo of one frame has the noise of the pixel's samples. None where a frame has none.
+    """
+    own = shot.whole_albedo
+    if own is None:
+        return None
+    total, weight = own, np.ones(own.shape[:2], np.float32)
+    for number, neighbour in near.items():
+        if (other := shots[number].whole_albedo) is not None:
+            values, agreement = neighbour.shown.gather(other)
+            total = total + values * agreement[..., None]
+            weight = weight + agreement
+    small = np.float32(MIN_DIVIDING_ALBEDO)
+    mean = np.clip(total / weight[..., None], own / MAX_ALBEDO_RATIO - small, own * MAX_ALBEDO_RATIO + small)
+    return np.asarray(np.clip(mean, np.float32(0.0), np.float32(1.0)))
 
 
 @dataclass(frozen=True)
@@ -172,7 +154,6 @@ def _join_layer(
     layer: LayerImages,
     near: Mapping[int, Neighbour],
     named: Mapping[int, Mapping[str, LayerImages]],
-    guides: _Guides,
 ) -> _Joined:
     edge, _, _ = shot.edges
     others = {number: layers[layer.name] for number, layers in named.items() if layer.name in layers}
@@ -198,8 +179,6 @@ def _join_layer(
     total = good + sum(weights.values(), np.zeros_like(weight))
     known = total > 0.0
     albedo = layer.albedo
-    if albedo is not None:
-        albedo = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
     inverse = np.divide(np.float32(1.0), total, out=np.zeros_like(weight), where=known)[..., None]
     joined = {}
     for slot, summed in totals.items():
@@ -208,7 +187,7 @@ def _join_layer(
         joined[slot] = np.where(known[..., None], light, layer.images[slot])
     share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)
     scale = np.float32(1.0) if albedo is None else np.where(edge, np.float32(1.0), np.mean(albedo, axis=-1))
-    return _Joined(layer.with_images(albedo, joined), weights, noise * scale * scale, share)
+    return _Joined(replace(layer, images=joined), weights, noise * scale * scale, share)
 
 
 def _bound(images: dict[str, FloatArray], noise: FloatArray) -> dict[str, FloatArray]:

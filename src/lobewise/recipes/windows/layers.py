@@ -39,10 +39,6 @@ class LayerImages:
     albedo: FloatArray | None
     images: Mapping[str, FloatArray]
 
-    def with_images(self, albedo: FloatArray | None, images: Mapping[str, FloatArray]) -> LayerImages:
-        """Return the layer with other images."""
-        return replace(self, albedo=albedo, images=images)
-
 
 def list_layers(frame: Frame, pilot: Result) -> dict[str, LayerImages]:
     """Return the layers of a frame by name: those that it names, or diffuse and specular, or its color.
@@ -74,7 +70,6 @@ def put_back(
     frame: Frame,
     own: Sequence[LayerImages],
     joined: Sequence[LayerImages],
-    albedos: Mapping[str, FloatArray],
     shares: Mapping[str, FloatArray],
 ) -> Frame:
     """Return a frame with joined layers.
@@ -86,8 +81,6 @@ def put_back(
     frame : Frame
     own, joined : sequence of LayerImages
         The layers before and after.
-    albedos : mapping of str to array, shape (height, width, 3)
-        Guides that were joined, by their names in the G-buffer.
     shares : mapping of str to array, shape (height, width)
         Factor of the variance of each layer, by name.
     """
@@ -101,7 +94,6 @@ def put_back(
         radiance=radiance,
         **sums,
         layers=layers,
-        gbuffer=replace(frame.gbuffer, **albedos),
         variance=_scale_variance(frame.variance, shares),
     )
 
@@ -110,7 +102,7 @@ def _put_layer(layer: RadianceLayer, joined: LayerImages) -> RadianceLayer:
     images = joined.images
     parts = {name: images[f"{PART}{name}"] for name in layer.parts if f"{PART}{name}" in images}
     halves: dict[str, Any] = {name: images.get(name) for name in HALVES}
-    return replace(layer, radiance=images[RADIANCE], albedo=joined.albedo, parts=parts, **halves)
+    return replace(layer, radiance=images[RADIANCE], parts=parts, **halves)
 
 
 def _put_radiance(

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 from weakref import ref
-
-import numpy as np
 
 from lobewise.denoising.automatic import change_settings, choose_similarity
 from lobewise.denoising.plan import count_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
-from lobewise.filters.noise.pooling import blur_image
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides
-from lobewise.recipes.windows.averaging import average_denoised
+from lobewise.recipes.windows.averaging import Windowed, average_denoised
 from lobewise.recipes.windows.gathering import Shown
 from lobewise.recipes.windows.joining import JoinedFrame, join_frames
 from lobewise.recipes.windows.shots import Shot, extrapolate_camera
-from lobewise.records.frame import FloatArray, Frame, Result
+from lobewise.records.frame import Frame, Result
 from lobewise.records.images import pack_planes, unpack_planes
 from lobewise.settings import MAX_WINDOW, DenoiseChanges, DenoiseSettings
 from lobewise.settings.choices import GUIDED_SIMILARITY
@@ -40,11 +37,6 @@ NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or posit
 """The end of `NO_MOTION`, by whether the frame has positions or depths."""
 USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal", "object_share")
 """Guides that frames are compared by, whatever the denoiser reads."""
-FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
-"""Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
-taken from the denoised joined frame."""
-SHARE_BLURS = 2
-"""Blurs that spread the noise of pixels with few frames over their surroundings."""
 REPEATED = (
     "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
     "give every frame a seed of its own (in Blender: Sampling > Advanced > Seed, the clock beside it)."
@@ -68,8 +60,8 @@ class WindowFilter:
 
     The samples of the other frames are brought to the pixels of a frame by the motion of surfaces and reflections,
     where the surface and its lobe are recognised. They are weighed by the error that they would bring in. The joined
-    frame has less noise; it is denoised like any frame. Pixels that few frames show are taken from the frame that was
-    denoised by itself. At last the denoised images of the same frames are averaged.
+    frame has less noise; it is denoised like any frame. At last the light of the denoised frames is averaged, over the
+    albedo, so that textures stay sharp.
 
     Frames are prepared and denoised once, and kept as long as windows need them. One thread at a time uses a filter;
     several filters may run at once.
@@ -166,24 +158,22 @@ class WindowFilter:
     def _join(self, frames: Sequence[Frame], index: int) -> JoinedFrame:
         return join_frames(self._prepare(frames, self._list_near(frames, index)), index)
 
-    def _denoise_joined(self, frames: Sequence[Frame], index: int) -> Result:
-        """Return the denoised joined frame, and where few frames were joined the frame denoised by itself."""
+    def _denoise_joined(self, frames: Sequence[Frame], index: int) -> Windowed:
+        """Return the denoised joined frame."""
         window = tuple(id(frames[number]) for number in self._list_near(frames, index))
         prepared = self._prepared.get(id(frames[index]))
         if prepared is not None and prepared.window == window:
             assert prepared.windowed is not None
             return prepared.windowed
         joined = self._join(frames, index)
-        result = joined.alone
+        result = denoise_checked(CheckedGuides(joined.frame), self._settings)
         if joined.shown:
-            # The opacity is that of the frame alone.
-            whole = denoise_checked(CheckedGuides(joined.frame.with_changes(alpha=None)), self._settings)
-            unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
-            result = replace(mix_results(result, whole, compute_joined_share(joined.frames)), unused=unused)
+            unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
+            result = replace(result, unused=unused, also={**joined.frame.unscattered, **result.also})
         prepared = self._prepared[id(frames[index])]
-        prepared.window, prepared.windowed = window, result
+        prepared.window, prepared.windowed = window, Windowed(result, joined.albedo)
         prepared.shown, prepared.window_notes = joined.shown, self._explain(frames, index, joined)
-        return result
+        return prepared.windowed
 
     def _list_near(self, frames: Sequence[Frame], index: int) -> range:
         """Return the numbers of the frames that a frame is compared with, and its own."""
@@ -233,49 +223,6 @@ class WindowFilter:
         return notes
 
 
-def compute_joined_share(frames: FloatArray) -> FloatArray:
-    """Return the share of the denoised joined frame in the result, (height, width), in [0, 1].
-
-    Pixels that few frames show have more noise than their surroundings, and a denoiser that sees little noise around
-    them takes theirs for detail. There the frame that was denoised by itself is better.
-
-    Parameters
-    ----------
-    frames : array, shape (height, width)
-        Effective number of frames that were joined, >= 1.
-    """
-    left = np.float32(1.0) / frames
-    for level in range(SHARE_BLURS):
-        left = np.maximum(left, blur_image(left, 2**level))
-    share = (np.float32(1.0) / left - np.float32(FEW_FRAMES)) / np.float32(MANY_FRAMES - FEW_FRAMES)
-    return np.clip(blur_image(share, 1), np.float32(0.0), np.float32(1.0))
-
-
-def mix_results(alone: Result, joined: Result, share: FloatArray) -> Result:
-    """Return ``joined`` with all its images mixed with those of ``alone``; ``share`` is that of ``joined``."""
-    part = share[..., None]
-
-    def mix(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
-        return second if first is None or second is None else np.asarray(first + part * (second - first), np.float32)
-
-    def mix_all(first: Mapping[str, FloatArray], second: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        mixed = {name: mix(first.get(name), image) for name, image in second.items()}
-        return {name: image for name, image in mixed.items() if image is not None}
-
-    image = mix(alone.image, joined.image)
-    assert image is not None
-    return replace(
-        joined,
-        image=image,
-        diffuse=mix(alone.diffuse, joined.diffuse),
-        specular=mix(alone.specular, joined.specular),
-        layers=mix_all(alone.layers, joined.layers),
-        also=mix_all(alone.also, joined.also),
-        bad_pixels=alone.bad_pixels,
-        alpha=alone.alpha,
-    )
-
-
 class _Prepared:
     """A frame that is kept for the next windows; holding it keeps its `id` its own."""
 
@@ -286,7 +233,7 @@ class _Prepared:
         self.checked, self.below = split_negative(packed)
         self.notes = checked.notes
         self.shot: Shot | None = None
-        self.windowed: Result | None = None
+        self.windowed: Windowed | None = None
         """The frame denoised with the samples of its neighbours."""
         self.window: tuple[int, ...] = ()
         """The `id` of each frame of its window."""

@@ -9,18 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import resolve_settings
+from lobewise.denoising.combining import mix_albedos
 from lobewise.denoising.recipe import denoise_checked
 from lobewise.filters.windows.edges import mark_edges
 from lobewise.guides.places import compute_surface_places, estimate_curvature
 from lobewise.guides.screen_hits import estimate_screen_hits
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.usable import CheckedGuides
+from lobewise.peers import reduce_guides
 from lobewise.recipes.temporal.validation import Guides, ValidationFeatures, make_validation_features
 from lobewise.recipes.windows.layers import LayerImages, list_layers
 from lobewise.recipes.windows.motion import describe_motion
 from lobewise.records.camera import Camera
-from lobewise.records.frame import FloatArray, Frame, Result
-from lobewise.settings import DenoiseSettings, SimilarityName, TemporalSettings
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.settings import DenoiseSettings, QualityName, SimilarityName, TemporalSettings
 
 MIN_OWN_MOTION_PIXELS = 0.1
 """Distance between the motion of a surface and the motion of the camera. Below it the surface stands still: the places
@@ -29,6 +31,9 @@ EDGE_REACH_PIXELS = 2
 """Distance from a pixel at an edge to pixels inside of its surfaces."""
 MAX_STEP_SHARE = 0.25
 """Longest own motion between two frames, as a share of the image's longer side."""
+PILOT_QUALITY: QualityName = "balanced"
+"""Quality of the first denoising, which samples of other frames are compared with. With "fast" shadows that move are
+smeared: films of textures have up to 10 % more error."""
 MAX_SHARP_ALPHA = 0.1
 """Roughness alpha below which reflections are interpolated between pixels."""
 MIN_PASSING_PIXELS = 0.5
@@ -47,7 +52,7 @@ class Shot:
     similarity : str
         How lobes are compared.
     settings : DenoiseSettings
-        How the frame is denoised by itself.
+        How frames are denoised.
     reach : int
         Frames to each side of a window.
     """
@@ -107,13 +112,15 @@ class Shot:
 
     @cached_property
     def layers(self) -> dict[str, LayerImages]:
-        """The layers of the frame by name, with their pilots: what denoising the frame by itself makes of them."""
-        return list_layers(self.frame, self.alone)
+        """The layers of the frame by name, with their pilots: what a first denoising makes of them."""
+        settings = replace(self._settings, quality=PILOT_QUALITY, with_oidn=False)
+        pilot = denoise_checked(CheckedGuides(self.frame.with_changes(alpha=None, also={})), settings)
+        return list_layers(self.frame, pilot)
 
     @cached_property
-    def alone(self) -> Result:
-        """The frame denoised by itself."""
-        return denoise_checked(CheckedGuides(self.frame), self._settings)
+    def whole_albedo(self) -> FloatArray | None:
+        """The albedo of all light, (height, width, 3), in [0, 1]; None where none is known."""
+        return reduce_guides(mix_albedos(self.frame.gbuffer)).denoiser_albedo
 
     @cached_property
     def curvature(self) -> FloatArray:
