@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import signal
@@ -13,7 +14,9 @@ from typing import NoReturn
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 
 MAX_NEW_OBJECTS = 10_000
-"""Objects that are made before Python looks for cycles of objects that nothing uses."""
+"""Objects that are made before Python looks for cycles of objects that nothing uses, among these objects alone."""
+MAX_SEARCHES = 20
+"""Such searches before one among older objects too. A short run makes a dozen, and its modules stay."""
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -33,7 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         Always: 0 after success, 2 for a mistake that the user can mend, 1 for an error in lobewise, 130 for Ctrl-C.
     """
     # Modules leave few cycles. With Python's 700 the search for them takes a tenth of a short run.
-    gc.set_threshold(MAX_NEW_OBJECTS)
+    gc.set_threshold(MAX_NEW_OBJECTS, MAX_SEARCHES)
+    # At its end Python would search all objects. The system takes them with the process.
+    atexit.register(gc.freeze)
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     if not is_ignored:
         _set_handler(_leave)

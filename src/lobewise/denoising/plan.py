@@ -258,13 +258,16 @@ def estimate_seconds_per_megapixel(near: list[Step], settings: ResolvedSettings)
 
 
 def count_bytes(record: Any) -> int:
-    """Return the bytes of all arrays of a frame, of the records and collections in it, but its file's `Origin`."""
+    """Return the bytes of all arrays of a frame, of the records and collections in it, without its origin.
+
+    Fields that do not count when records are compared say where a record comes from.
+    """
     if isinstance(record, np.ndarray):
         return record.nbytes
     if isinstance(record, Mapping):
         return sum(map(count_bytes, record.values()))
     if isinstance(record, tuple):
         return sum(map(count_bytes, record))
-    if not is_dataclass(record):
-        return 0
-    return sum(count_bytes(getattr(record, item.name)) for item in fields(record) if item.name != "origin")
+    if is_dataclass(record):
+        return sum(count_bytes(getattr(record, item.name)) for item in fields(record) if item.compare)
+    return 0
