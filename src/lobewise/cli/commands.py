@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import lobewise
 from lobewise.cli.benching import bench
 from lobewise.cli.comparing import compare
 from lobewise.cli.diagnosing import doctor
@@ -18,7 +17,7 @@ from lobewise.cli.options.common import Input, output_option
 from lobewise.cli.options.reading import PassReading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.rendering import render
-from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, HELP_NAMES, App
+from lobewise.cli.terminal.help import EXAMPLES, EXIT_USER_ERROR, FILTER_DETAILS, make_app
 from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
 from lobewise.errors import LobewiseError
@@ -30,32 +29,7 @@ if TYPE_CHECKING:
     from lobewise.io import FileDescription
     from lobewise.records.frame import Frame
 
-EXIT_USER_ERROR = 2
-"""Exit code where input is refused; `inspect` has it for a file that `denoise` refuses."""
-
-app = App(
-    name="lobewise",
-    help="Denoise renders of glossy things by comparing what each pixel reflects.",
-    add_completion=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": list(HELP_NAMES)},
-)
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"lobewise {lobewise.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def root(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
-    ] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
-) -> None:
-    """Denoise renders of glossy things by comparing what each pixel reflects."""
+app = make_app()
 
 
 @app.command(epilog=EXAMPLES["demo"])

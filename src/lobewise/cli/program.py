@@ -9,7 +9,7 @@ import sys
 import traceback
 import warnings
 from contextlib import suppress
-from copy import copy
+from importlib import import_module
 
 import typer
 
@@ -22,6 +22,16 @@ EXIT_OK, EXIT_INTERNAL_ERROR = 0, 1
 _show_warning_by_default = warnings.showwarning
 COMPLETION_VARIABLE = "_LOBEWISE_COMPLETE"
 """Set by the shell that asks how a command line may go on (`lobewise --install-completion`)."""
+MODULES = {
+    "render": "rendering",
+    "view": "viewing",
+    **dict.fromkeys(("denoise", "upsample"), "filtering"),
+    "fit": "fitting",
+    "compare": "comparing",
+    "doctor": "diagnosing",
+    **dict.fromkeys(("demo", "inspect", "devices"), "commands"),
+}
+"""Modules of the verbs."""
 SYSTEM_REFUSALS = (errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN)
 """Errors by which the system says that a limit of this process is reached: memory, open files, threads."""
 BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
@@ -29,9 +39,7 @@ BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 
 def run(arguments: list[str]) -> int:
     """Run the program and return its exit code."""
-    from lobewise.cli.commands import EXIT_USER_ERROR, app
-    from lobewise.cli.rendering import give_switches_values
-    from lobewise.cli.terminal.help import asks_for_all
+    from lobewise.cli.terminal.help import EXIT_USER_ERROR, asks_for_all
     from lobewise.cli.terminal.mistakes import describe_mistake, name_option
 
     for stream in (sys.stdout, sys.stderr):
@@ -42,8 +50,11 @@ def run(arguments: list[str]) -> int:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
-    arguments = give_switches_values(arguments)
-    command = typer.main.get_command(_keep_verb(app, arguments))
+    if "--moving-objects" in arguments:
+        from lobewise.cli.rendering import give_switches_values
+
+        arguments = give_switches_values(arguments)
+    command = typer.main.get_command(_open_app(arguments[:1]))
     if COMPLETION_VARIABLE in os.environ:
         command.main(prog_name="lobewise", complete_var=COMPLETION_VARIABLE)  # prints words for the shell, and exits
     warnings.showwarning = _show_warning
@@ -78,17 +89,21 @@ def run(arguments: list[str]) -> int:
         return _fail(LobewiseError(text, action=action), EXIT_INTERNAL_ERROR, debug)
 
 
-def _keep_verb(app: typer.Typer, arguments: list[str]) -> typer.Typer:
+def _open_app(name: list[str]) -> typer.Typer:
     """Return the program with the one verb that a command line begins with; without one the whole program.
 
-    To make the options of all verbs takes longer than to read a command line.
+    To import all verbs, and to make their options, takes longer than to read a command line.
     """
-    named = [one for one in app.registered_commands if one.callback and one.callback.__name__ in arguments[:1]]
-    if not named:
-        return app
-    kept = copy(app)
-    kept.registered_commands, kept.registered_groups = named, []
-    return kept
+    from lobewise.cli.terminal.help import EXAMPLES, make_app
+
+    verb = name[0] if name else ""
+    if verb in MODULES:
+        kept = make_app()
+        kept.command(epilog=EXAMPLES.get(verb))(getattr(import_module(f"lobewise.cli.{MODULES[verb]}"), verb))
+        return kept
+    from lobewise.cli.commands import app
+
+    return app
 
 
 def _describe_refusal(problem: Exception) -> LobewiseError:

@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+import lobewise
 from lobewise.cli.terminal.values import Converter
 from lobewise.errors import InputError, require_choice
 
@@ -62,6 +63,10 @@ EXAMPLES = {
     "inspect": "lobewise inspect frame.exr\nlobewise inspect --all frame.exr",
 }
 """Example commands of each verb, one per line."""
+
+
+EXIT_USER_ERROR = 2
+"""Exit code where input is refused; `inspect` has it for a file that `denoise` refuses."""
 
 
 def asks_for_all(arguments: Sequence[str]) -> bool:
@@ -123,6 +128,34 @@ class App(typer.Typer):
     def command(self, name: str | None = None, **settings: Any) -> Callable[[Verb], Verb]:
         """Return the decorator of a verb, as typer does."""
         return super().command(name, cls=Command, **settings)
+
+
+def make_app() -> App:
+    """Return the program without verbs."""
+    app = App(
+        name="lobewise",
+        help="Denoise renders of glossy things by comparing what each pixel reflects.",
+        add_completion=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": list(HELP_NAMES)},
+    )
+    app.callback()(root)
+    return app
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"lobewise {lobewise.__version__}")
+        raise typer.Exit
+
+
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
+) -> None:
+    """Denoise renders of glossy things by comparing what each pixel reflects."""
 
 
 def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iterator[str]:
