@@ -10,6 +10,7 @@ import importlib.util
 import platform
 import sys
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import FileError, MissingDependencyError
@@ -21,6 +22,7 @@ __all__ = [
     "hl",
     "is_installed",
     "load_llvm",
+    "look_up_version",
     "refuse_compiling",
     "refuse_folder",
 ]
@@ -103,6 +105,16 @@ def has_compiler() -> bool:
 def declare_vars(*names: str) -> tuple[Any, ...]:
     """Return Halide's variables for the coordinates of kernels; None for each where Halide is absent."""
     return tuple(hl.Var(name) if has_compiler() else None for name in names)
+
+
+@cache
+def look_up_version() -> str:
+    """Return Halide's version from the name of the folder that `pip` keeps beside it.
+
+    `importlib.metadata` would import a library for mails, and parse the description of the package.
+    """
+    folder = next(Path(hl.__file__).parents[1].glob("halide-*.dist-info"), None)
+    return "" if folder is None else folder.stem.partition("-")[2]
 
 
 @cache

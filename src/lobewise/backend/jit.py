@@ -15,13 +15,12 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import astuple, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
-from importlib.metadata import version
 from numbers import Integral
 from types import FunctionType, MappingProxyType
 from typing import Any
 
 from lobewise.backend.buffers import Image, lend, make_output
-from lobewise.backend.compiler import has_compiler, hl, refuse_compiling
+from lobewise.backend.compiler import has_compiler, hl, look_up_version, refuse_compiling
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
@@ -244,7 +243,7 @@ def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
     names = list_definitions(key, make)
     if described is None or not _are_own(names):
         return None
-    return f"{version('halide')} {_describe_definitions(names)} {described}"
+    return f"{look_up_version()} {_describe_definitions(names)} {described}"
 
 
 def identify_kernel(key: Hashable, make: Callable[..., Any], *, strict: bool) -> str | None:

@@ -12,10 +12,9 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
-from importlib.metadata import version
 from typing import Any
 
-from lobewise.backend.compiler import hl, load_llvm
+from lobewise.backend.compiler import hl, load_llvm, look_up_version
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
@@ -101,7 +100,7 @@ class Runtime:
 def _compile_runtime(device: str) -> Any:
     """Return an engine with Halide's runtime for a device, compiled on first use on a machine."""
     target = make_target(device)
-    known = f"runtime {version('halide')} {target}"
+    known = f"runtime {look_up_version()} {target}"
 
     def write(path: str) -> None:
         hl.compile_standalone_runtime(path, target)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 
 import lobewise
 
@@ -38,6 +37,8 @@ def compare_environments(here: Mapping[str, str], there: Mapping[str, str]) -> s
 
 
 def _look_up_version(distribution: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(distribution)
     except PackageNotFoundError:
