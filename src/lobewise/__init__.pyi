@@ -16,8 +16,8 @@ from .recipes.files import FileRequest as FileRequest
 from .recipes.files import FileResult as FileResult
 from .recipes.files import denoise_files as denoise_files
 from .recipes.sequence import SequenceReport as SequenceReport
-from .recipes.streaming import DenoisedFile as DenoisedFile
-from .recipes.streaming import denoise_file as denoise_file
+from .recipes.streaming.recipe import DenoisedFile as DenoisedFile
+from .recipes.streaming.recipe import denoise_file as denoise_file
 from .recipes.temporal import TemporalFilter as TemporalFilter
 from .recipes.upsampling import upsample as upsample
 from .recipes.windows import WindowFilter as WindowFilter

@@ -32,7 +32,9 @@ def run(module: str, more: str = "") -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("module", ["typer", "lobewise.cli.program", "lobewise.cli.terminal.help", "lobewise.cli.filtering"])
+@pytest.mark.parametrize(
+    "module", ["typer", "lobewise.cli.program", "lobewise.cli.terminal.help", "lobewise.cli.filtering"]
+)
 def test_while_modules_are_imported(module: str) -> None:
     done = run(module)
     assert (done.returncode, done.stdout) == (130, "")

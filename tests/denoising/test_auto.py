@@ -17,7 +17,7 @@ from lobewise.features import ScreenFeature
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.mitsuba import Denoiser
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings

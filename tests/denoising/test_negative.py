@@ -12,7 +12,7 @@ from lobewise.denoising import denoise
 from lobewise.guides.negative import MAX_DIM_SHARE, MAX_ROUNDING, is_dim, mark_damaged, split_negative
 from lobewise.io import write_frame
 from lobewise.peers import has_oidn
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.records.radiance import RadianceLayer
 from lobewise.settings import DenoiseSettings

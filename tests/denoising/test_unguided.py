@@ -20,7 +20,7 @@ from lobewise.denoising.refining.unguided import (
 )
 from lobewise.io import write_frame
 from lobewise.metrics import rel_mse
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 SHAPE = (64, 72)

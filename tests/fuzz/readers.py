@@ -95,7 +95,7 @@ def read_exr(path: Path, answer: Answer) -> None:
 
 
 def _denoise(path: Path) -> None:
-    from lobewise.recipes.streaming import denoise_file
+    from lobewise.recipes.streaming.recipe import denoise_file
 
     try:
         denoise_file(path, path.with_name("clean.exr"), quality="fast", similarity="auto")

@@ -15,7 +15,7 @@ from lobewise.errors import MissingChannelError, UnusedGuideWarning
 from lobewise.guides.survey import GuideSurvey
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
 from tests.mistakes import refuses
 from tests.streaming.frames import make_scene

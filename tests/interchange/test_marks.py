@@ -16,7 +16,7 @@ from lobewise.io import write_frame
 from lobewise.io.exr.header import REPLACED, read_replaced
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import DENOISED
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from tests.cli.lines import fail
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import lobewise
-from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import Frame, LobeKind, Radiance
 from tests.denoising.test_denoising import make_frame
 

@@ -17,7 +17,8 @@ from lobewise.cli.output import describe_result, describe_settings
 from lobewise.cli.program import run
 from lobewise.io import write_frame
 from lobewise.recipes.files import FileResult
-from lobewise.recipes.streaming import DenoisedFile, plan
+from lobewise.recipes.streaming import plan
+from lobewise.recipes.streaming.recipe import DenoisedFile
 from tests.interrupts import start_program
 from tests.streaming.frames import change_radiance, make_scene
 

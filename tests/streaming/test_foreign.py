@@ -13,7 +13,8 @@ from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file
 from lobewise.interchange.importing import bands
-from lobewise.recipes.streaming import denoise_file, plan
+from lobewise.recipes.streaming import plan
+from lobewise.recipes.streaming.recipe import denoise_file
 from tests.cli.lines import fail
 from tests.interchange import renderers
 from tests.mistakes import refuses

@@ -12,12 +12,14 @@ import pytest
 import lobewise
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.inputs import list_images
 from lobewise.errors import CancelledError, FileError, InputError, LobewiseError
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
-from lobewise.recipes.streaming import denoise_file, list_images, needs_bands, plan
+from lobewise.recipes.streaming import plan
 from lobewise.recipes.streaming import recipe as streaming
-from lobewise.recipes.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes
+from lobewise.recipes.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes, needs_bands
+from lobewise.recipes.streaming.recipe import denoise_file
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES

@@ -50,7 +50,6 @@ from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, filter_layer_halves
 from lobewise.denoising.plain import add_up
 from lobewise.denoising.refining.inputs import sum_parts
-from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.totals import compose, compute_averaged_rest, compute_rest
 from lobewise.denoising.refining.unguided import (
     MIN_SHARE,
@@ -399,6 +398,8 @@ def filter_halves(
 
 def refine(frame: Frame, filtered: Filtered, whole: WholeImage | None) -> Filtered:
     """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
+    from lobewise.denoising.refining.network import refine_light
+
     enter_stage(REFINE)
     with engine.part("refine by the network"):
         whole = measure_whole(frame, filtered.levels) if whole is None else whole

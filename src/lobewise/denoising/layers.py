@@ -33,8 +33,6 @@ from lobewise.guides.lobe_fields import (
     make_sg_field,
     spread_lobes,
 )
-from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.guides.rays import compute_ray_weights
 from lobewise.guides.surfaces import compute_points, mark_surface_pixels
 from lobewise.records.frame import FloatArray, GBuffer
 from lobewise.records.sparse_frame import AnyFrame, SparseFrame
@@ -174,6 +172,8 @@ def compare_specular(
 
 
 def _compare_mixtures(frame: AnyFrame, settings: ResolvedSettings, apart: bool) -> Compared:
+    from lobewise.guides.mixture_fields import make_mixture_field
+
     mixture = make_mixture_field(
         frame.gbuffer,
         frame.require_camera(_name_similarity(settings)),
@@ -254,6 +254,8 @@ def make_lobe_layers(
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
     if getattr(frame, "rays", None) is not None:  # whole frames have none
+        from lobewise.guides.rays import compute_ray_weights
+
         layers[1] = replace(layers[1], weights=compute_ray_weights(cast(SparseFrame, frame)))
     return layers
 

@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import FileError, InputError
-from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_arrays, show_value
 from lobewise.io.files import PathLike, read_bytes, write_text
 from lobewise.records.lobe_table import LobeTable
+
+if TYPE_CHECKING:
+    from lobewise.fitting.merl import MerlBrdf
 
 FORMAT = "lobewise lobes"
 VERSION = 1
@@ -32,6 +34,8 @@ def read_merl(path: PathLike) -> MerlBrdf:
     FileError
         If it cannot be read, or is not a whole MERL file with measurements; see `parse_merl`.
     """
+    from lobewise.fitting.merl import FILE_BYTES, parse_merl
+
     # Read one byte more than a MERL file has, to detect larger files.
     data = read_bytes(path, FILE_BYTES + 1, holds="a MERL table")
     try:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from lobewise.display.cards import make_card
 from lobewise.errors import InputError, MissingChannelError, require_kind, require_number
 from lobewise.records.camera import Camera
 from lobewise.records.images import ABSENT, Images, MaybeImage, as_image, as_images, refuse_size, say_size, wrap_columns
@@ -334,6 +333,8 @@ class Frame(Guided):
 
     def _repr_html_(self) -> str:
         """Return the card that notebooks show."""
+        from lobewise.display.cards import make_card
+
         facts = [("guides", ", ".join(self.gbuffer.names))]
         facts += [("light", ", ".join(layer.name for layer in self.layers) or ", ".join(self.radiance.names))]
         facts += [("samples", f"{self.spp:g} per pixel")] if self.spp else []

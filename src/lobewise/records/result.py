@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display.cards import make_card
 from lobewise.records.images import FloatArray, crop_columns, make_array, read_array, say_size
 
 
@@ -155,6 +154,8 @@ class Result(Described):
 
     def _repr_html_(self) -> str:
         """Return the card that notebooks show: the noisy and the clean picture, and short facts."""
+        from lobewise.display.cards import make_card
+
         noisy = self.find_noisy() if self.find_noisy else None
         pictures = {"noisy": noisy} if noisy is not None and noisy.shape == tuple(self.image.shape) else {}
         pictures["denoised"] = self.convert().image

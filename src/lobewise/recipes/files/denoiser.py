@@ -12,6 +12,7 @@ from threading import Lock
 import numpy as np
 
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.inputs import list_images
 from lobewise.denoising.plan import estimate_work_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.errors import InputError, LobewiseError
@@ -31,8 +32,8 @@ from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
 from lobewise.recipes.sequence import OF_ALL_FRAMES, FilterAlone, Need
-from lobewise.recipes.streaming import denoise_file, list_images, needs_bands
 from lobewise.recipes.streaming.checks import open_bands
+from lobewise.recipes.streaming.plan import needs_bands
 from lobewise.records.frame import Frame, Result
 from lobewise.records.lobe_table import LobeTable
 from lobewise.settings import DenoiseSettings
@@ -171,6 +172,8 @@ class FileDenoiser:
     def _filter(self, file: OpenedFile) -> FileResult:
         request = self._request
         if not file.selections:
+            from lobewise.recipes.streaming.recipe import denoise_file
+
             target = locate_counterpart(file.path, self._source, self._output)
             rows = request.bands if isinstance(request.bands, int) else None
             return FileResult((denoise_file(file.path, target, request.settings, lobe_tables=self._tables, rows=rows),))

@@ -12,7 +12,7 @@ from lobewise.io.exr.container import Container
 from lobewise.records.frame import FloatArray, Result
 
 if TYPE_CHECKING:
-    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.recipes.streaming.recipe import DenoisedFile
 
 
 @dataclass(frozen=True)

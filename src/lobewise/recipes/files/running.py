@@ -8,7 +8,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from lobewise.denoising.automatic import change_settings
 from lobewise.errors import InputError, LobewiseError, require_choice, require_kind
@@ -20,7 +20,6 @@ from lobewise.recipes.files.denoiser import FileDenoiser
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
-from lobewise.recipes.files.upsampler import FileUpsampler, UpsampleRequest
 from lobewise.recipes.ledger import Ledger, measure_all, open_ledger
 from lobewise.recipes.sequence import Need, SequenceFilter, SequenceReport, filter_sequence, require_frames
 from lobewise.settings import DenoiseSettings
@@ -28,8 +27,11 @@ from lobewise.work.limits import get_limits, has_memory, set_aside
 from lobewise.work.overlap import Overlap
 from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_file, watch_call
 
+if TYPE_CHECKING:
+    from lobewise.recipes.files.upsampler import UpsampleRequest
+
 FileT = TypeVar("FileT")
-Request = FileRequest | UpsampleRequest
+Request: TypeAlias = "FileRequest | UpsampleRequest"
 
 
 class FileFilter(Protocol[FileT]):
@@ -50,9 +52,11 @@ class FileFilter(Protocol[FileT]):
 
 def open_filter(request: Request, source: Path, output: Path, remarks: Remarks) -> FileFilter[Any]:
     """Return what reads, filters and writes the files of a request."""
-    if isinstance(request, UpsampleRequest):
-        return FileUpsampler(request, source, output, remarks)
-    return FileDenoiser(request, source, output, remarks)
+    if isinstance(request, FileRequest):
+        return FileDenoiser(request, source, output, remarks)
+    from lobewise.recipes.files.upsampler import FileUpsampler
+
+    return FileUpsampler(request, source, output, remarks)
 
 
 def denoise_files(
