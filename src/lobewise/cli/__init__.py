@@ -39,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     gc.set_threshold(MAX_NEW_OBJECTS, MAX_SEARCHES)
     # At its end Python would search all objects. The system takes them with the process.
     atexit.register(gc.freeze)
+    # NumPy's threads for products of matrices wait awake for 25 ms after each product. Let them sleep at once.
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     if not is_ignored:
         _set_handler(_leave)
