@@ -7,6 +7,7 @@ import OpenEXR
 import pytest
 
 from lobewise.io.exr import pixels
+from lobewise.io.exr.container import crop_part
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 from lobewise.io.exr.replacing import write_copy
@@ -32,6 +33,7 @@ def write_file(path, rng, form, size=(300, 70)):
 @pytest.mark.sampled("ZIP", "PIZ", "DWAB", "B44", "HTJ2K32", "tiles")
 @pytest.mark.parametrize("form", FORMS)
 def test_rows_at_a_time_are_the_same_bits(rng, tmp_path, monkeypatch, form):
+    monkeypatch.setattr(pixels, "KEPT_BYTES", 0)
     container = write_file(tmp_path / "a.exr", rng, form)
     (part,) = container.parts
     planes = {0: {name: rng.random((300, 70), np.float32) for name in "RGB"}}
@@ -49,6 +51,20 @@ def test_rows_at_a_time_are_the_same_bits(rng, tmp_path, monkeypatch, form):
     assert list(whole[0]) == list(some[0])
     for name, plane in whole[0].items():
         np.testing.assert_array_equal(plane, some[0][name])
+
+
+def test_a_small_file_is_decoded_once_for_a_container(rng, tmp_path, monkeypatch):
+    container = write_file(tmp_path / "a.exr", rng, "tiles")
+    (part,) = container.parts
+    whole, known = decode_part(container, part), (id(container), 0)
+    monkeypatch.setattr(pixels, "decode_bytes", None)
+    rows = decode_part(container, crop_part(part, 16, 48), "RG")
+    assert sorted(rows) == ["G", "R"]
+    np.testing.assert_array_equal(rows["R"], whole["R"][16:48])
+    assert not rows["R"].flags.writeable
+    assert known in pixels._kept
+    del container
+    assert known not in pixels._kept
 
 
 def test_channels_that_nobody_asked_for_take_no_memory(rng, tmp_path, monkeypatch):

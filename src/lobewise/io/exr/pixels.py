@@ -12,6 +12,7 @@ import threading
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,10 @@ FIXED_BYTES = 2**26
 """Memory that a call of the library needs beside its pixels, bytes."""
 THREAD_BYTES = 2**26 + 2**23
 """Address space of a thread: a heap of glibc, and a stack."""
+KEPT_BYTES = 2**24
+"""Most bytes of the pixels of a file whose parts stay decoded as long as the `Container` that they were decoded for."""
+_kept: dict[tuple[int, int], dict[str, Pixels]] = {}
+"""Such pixels, by the identity of the container and the index of the part."""
 SCRATCH_COPIES = 3
 """Most copies of the pixels that the library holds at once beside the decoded ones: packed, unpacked, reordered."""
 
@@ -59,7 +64,7 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
     """Return channels of a part, each (height, width) in its own type: uint32, float16 or float32.
 
     ``names`` are the wanted channels, by default all. Other channels take memory only for some rows at a time, unless
-    the part has subsampled channels.
+    the part has subsampled channels. A small file is decoded once for a container, and its channels are read-only.
 
     Raises FileError if the pixels are damaged, the part holds deep samples, or the system refuses memory or files.
     """
@@ -73,8 +78,13 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
     chosen = [channel for channel in part.channels if names is None or channel.name in names]
     window, step = part.data_window, count_fitting_rows(part)
     plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in part.channels)
+    if (kept := _kept.get((id(container), part.index))) is not None:
+        top = window.y_min - container.parts[part.index].data_window.y_min
+        return {channel.name: kept[channel.name][top : top + window.height] for channel in chosen}
     if step >= window.height or not plain:
         pixels = _decode_rows(container, part)
+        if plain and window == container.parts[part.index].data_window:
+            _keep(container, part, pixels)
         return {channel.name: pixels[channel.name] for channel in chosen}
     try:
         whole = {each.name: np.empty((window.height, window.width), DTYPES[each.pixel_type]) for each in chosen}
@@ -86,6 +96,16 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
         for name, plane in whole.items():
             plane[first:stop] = pixels[name]
     return whole
+
+
+def _keep(container: Container, part: Part, pixels: dict[str, Pixels]) -> None:
+    """Keep the pixels of a part of a small file: it is read thrice, and the library decodes all channels for a few."""
+    if sum(_count_row_bytes(each) * each.data_window.height for each in container.parts) > KEPT_BYTES:
+        return
+    for plane in pixels.values():
+        plane.flags.writeable = False
+    _kept[id(container), part.index] = pixels
+    finalize(container, _kept.pop, (id(container), part.index), None).atexit = False
 
 
 def refuse_system(name: str, problem: MemoryError | OSError | ImportError) -> FileError:
