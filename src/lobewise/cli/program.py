@@ -9,9 +9,11 @@ import sys
 import traceback
 import warnings
 from contextlib import suppress
+from copy import copy
 from importlib import import_module
 
 import typer
+from typer.models import CommandInfo
 
 import lobewise
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
@@ -54,7 +56,7 @@ def run(arguments: list[str]) -> int:
         from lobewise.cli.rendering import give_switches_values
 
         arguments = give_switches_values(arguments)
-    command = typer.main.get_command(_open_app(arguments[:1]))
+    command = typer.main.get_command(_open_app(arguments))
     if COMPLETION_VARIABLE in os.environ:
         command.main(prog_name="lobewise", complete_var=COMPLETION_VARIABLE)  # prints words for the shell, and exits
     warnings.showwarning = _show_warning
@@ -89,21 +91,33 @@ def run(arguments: list[str]) -> int:
         return _fail(LobewiseError(text, action=action), EXIT_INTERNAL_ERROR, debug)
 
 
-def _open_app(name: list[str]) -> typer.Typer:
+def _open_app(arguments: list[str]) -> typer.Typer:
     """Return the program with the one verb that a command line begins with; without one the whole program.
 
-    To import all verbs, and to make their options, takes longer than to read a command line.
+    To import all verbs, and to make their options, takes longer than to read a command line. One that only lists the
+    verbs needs no options of theirs.
     """
     from lobewise.cli.terminal.help import EXAMPLES, make_app
 
-    verb = name[0] if name else ""
+    verb = arguments[0] if arguments else ""
     if verb in MODULES:
         kept = make_app()
         kept.command(epilog=EXAMPLES.get(verb))(getattr(import_module(f"lobewise.cli.{MODULES[verb]}"), verb))
         return kept
     from lobewise.cli.commands import app
 
+    if len(arguments) < 2 and COMPLETION_VARIABLE not in os.environ:
+        app = copy(app)
+        app.registered_commands = [_strip(one) for one in app.registered_commands]
     return app
+
+
+def _strip(verb: CommandInfo) -> CommandInfo:
+    """Return a verb without options, which can be listed."""
+    listed, run = copy(verb), verb.callback
+    if run is not None:
+        listed.name, listed.help, listed.callback = run.__name__, run.__doc__, lambda: None
+    return listed
 
 
 def _describe_refusal(problem: Exception) -> LobewiseError:
