@@ -31,6 +31,8 @@ HEAVY = {
 UNUSED_BY_ONE_FILE = {
     *("pydantic", "rich.console", "lobewise.farm", "lobewise.interchange.cameras.files"),
     *("lobewise.recipes.windows", "lobewise.recipes.temporal", "lobewise.viewer.server"),
+    *("lobewise.recipes.upsampling", "lobewise.recipes.streaming.recipe", "lobewise.denoising.refining.network"),
+    *("lobewise.fitting.table", "lobewise.display.cards", "lobewise.cli.commands", "importlib.metadata"),
     *(HEAVY - {"numpy", "halide", "OpenEXR", "lobewise.io"}),
 }
 """What `lobewise denoise` of a single file does without."""
