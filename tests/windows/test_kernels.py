@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from lobewise.filters.windows.edges import mark_edges
 from lobewise.filters.windows.following import follow_back, follow_on, sample_cubic
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.guides.places import estimate_curvature, make_grid
@@ -158,31 +157,3 @@ class TestScreenHits:
         depth[:4] = 0.0
         curvature = estimate_curvature(position, normal)
         assert not estimate_screen_hits(camera, position, depth, normal, curvature)[:4].any()
-
-
-class TestEdges:
-    def test_a_step_is_an_edge_and_the_nearer_side_is_in_front(self):
-        grid = make_grid(SHAPE)
-        depth = np.where(grid[..., 0] < 20, 4.0, 8.0).astype(np.float32)
-        position = np.stack([grid[..., 0] * 0.01, grid[..., 1] * 0.01, -depth], axis=-1)
-        normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SHAPE, 3))
-        edge, way = mark_edges(position, depth, normal, None, 0.01)
-        assert edge[:, 19:21].all()
-        assert not edge[:, :19].any()
-        assert not edge[:, 21:].any()
-        assert (way[:, 20, 0] == -1.0).all()
-        assert not way[:, 19].any()
-
-    def test_creases_background_and_shared_pixels_are_edges(self):
-        grid = make_grid(SHAPE)
-        depth = np.full(SHAPE, 4.0, np.float32)
-        depth[0] = 0.0
-        position = np.stack([grid[..., 0] * 0.01, grid[..., 1] * 0.01, -depth], axis=-1)
-        normal = np.where(grid[..., :1] < 10, np.float32([0.0, 0.0, 1.0]), np.float32([1.0, 0.0, 0.0]))
-        share = np.ones(SHAPE, np.float32)
-        share[12, 30] = 0.5
-        edge, _ = mark_edges(position, depth, normal, share, 0.01)
-        assert edge[:2].all()
-        assert edge[:, 9:11].all()
-        assert edge[12, 30]
-        assert np.count_nonzero(edge[2:]) == 2 * (SHAPE[0] - 2) + 1

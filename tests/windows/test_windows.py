@@ -355,7 +355,7 @@ class TestReflections:
         assert np.isfinite(places).any() == is_followed
         if is_followed:
             # The virtual image lies as far below the floor as the hit lies above it, and moves less.
-            apart = np.linalg.norm(places - near[0].front_places, axis=-1)
+            apart = np.linalg.norm(places - near[0]._places, axis=-1)
             assert np.nanmedian(apart) > 0.1
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from lobewise.filters.history.reprojection import reproject_images
 from lobewise.filters.windows.following import sample_cubic
-from lobewise.guides.places import make_grid
 from lobewise.recipes.windows.layers import LayerImages
 from lobewise.recipes.windows.places import compute_reflections
 from lobewise.recipes.windows.shots import Shot
@@ -65,13 +64,6 @@ class Neighbour:
         return self._gather([black], SURFACE)[1]
 
     @cached_property
-    def front_places(self) -> FloatArray:
-        """Places by the motion of the surface that is in front at each pixel, (height, width, 2)."""
-        grid = make_grid(self._shot.frame.shape)
-        _, rows, columns = self._shot.edges
-        return grid + (self._places - grid)[rows, columns]
-
-    @cached_property
     def reflections(self) -> FloatArray:
         """Where reflections are in the other frame, (height, width, 2); NaN where they are unknown or wide.
 
@@ -93,7 +85,7 @@ class Neighbour:
     def gather_layer(self, layer: LayerImages, slots: Sequence[str]) -> tuple[dict[str, FloatArray], FloatArray]:
         """Return images of a layer of the other frame at the pixels of this frame, and how well the pixels match.
 
-        Images are radiance over albedo, and radiance at edges.
+        Images are radiance over albedo.
 
         Parameters
         ----------
@@ -108,31 +100,19 @@ class Neighbour:
         array, shape (height, width)
             Agreement, 0 to 1.
         """
-        light = {slot: np.maximum(np.nan_to_num(layer.images[slot]), np.float32(0.0)) for slot in slots}
-        even = [divide(image, layer.albedo) for image in light.values()]
+        light = (np.maximum(np.nan_to_num(layer.images[slot]), np.float32(0.0)) for slot in slots)
+        even = [divide(image, layer.albedo) for image in light]
         gathered, agreement = self._gather(even, layer.kind)
         if layer.kind == "specular":
             # A mirror that moves shows other things, and nobody knows how fast they pass.
             agreement = np.where(self._shot.moves, np.float32(0.0), agreement)
             gathered = self._sharpen(even, gathered, agreement)
-        edge, rows, columns = self._shot.edges
-        if edge.any():
-            inside = edge & ~self._shot.moving_edges
-            at_edges = []
-            for image in light.values():
-                values, known = sample_cubic(image, self.front_places)
-                at_edges.append(np.maximum(values, np.float32(0.0)))
-                inside = inside & known
-            gathered = [np.where(edge[..., None], new, old) for old, new in zip(gathered, at_edges, strict=True)]
-            agreement = np.where(edge, np.where(inside, agreement[rows, columns], np.float32(0.0)), agreement)
         return dict(zip(slots, gathered, strict=True)), agreement
 
     @cached_property
     def shown(self) -> Shown:
-        """Where guides are sampled: at edges, those of the surface in front."""
-        edge, rows, columns = self._shot.edges
-        places = np.where(edge[..., None], self.front_places, self._places)
-        return Shown(places, np.where(edge, self.surface_agreement[rows, columns], self.surface_agreement))
+        """Where the other frame shows the surfaces of the frame."""
+        return Shown(self._places, self.surface_agreement)
 
     def _gather(self, images: Sequence[FloatArray], kind: str) -> tuple[list[FloatArray], FloatArray]:
         """Return images at the pixels nearest to the places, 0 where they do not match, and the agreement.

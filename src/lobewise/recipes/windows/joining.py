@@ -155,11 +155,10 @@ def _join_layer(
     near: Mapping[int, Neighbour],
     named: Mapping[int, Mapping[str, LayerImages]],
 ) -> _Joined:
-    edge, _, _ = shot.edges
     others = {number: layers[layer.name] for number, layers in named.items() if layer.name in layers}
     slots = [slot for slot in layer.images if all(slot in other.images for other in others.values())]
     good = mark_good(layer.images[RADIANCE])
-    own = {slot: _even_out(layer.images[slot], layer.albedo, edge, good) for slot in slots}
+    own = {slot: _even_out(layer.images[slot], layer.albedo, good) for slot in slots}
     weight = good.astype(np.float32)
     totals = {slot: image * weight[..., None] for slot, image in own.items() if slot != PILOT}
     squares, weights = weight.copy(), {}
@@ -171,8 +170,7 @@ def _join_layer(
         # Beside a black frame another one has an infinite bias, and no weight.
         with np.errstate(over="ignore"):
             seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
-            # At edges pilots differ by the noise of their albedos.
-            bias = np.where(edge, bias, np.maximum(bias, seen))
+            bias = np.maximum(bias, seen)
             weight_there = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
         totals = {slot: total + images[slot] * weight_there[..., None] for slot, total in totals.items()}
         squares = squares + weight_there * weight_there
@@ -183,10 +181,9 @@ def _join_layer(
     joined = {}
     for slot, summed in totals.items():
         mean = summed * inverse
-        light = np.where(edge[..., None], mean, multiply(mean, albedo))
-        joined[slot] = np.where(known[..., None], light, layer.images[slot])
+        joined[slot] = np.where(known[..., None], multiply(mean, albedo), layer.images[slot])
     share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)
-    scale = np.float32(1.0) if albedo is None else np.where(edge, np.float32(1.0), np.mean(albedo, axis=-1))
+    scale = np.float32(1.0) if albedo is None else np.mean(albedo, axis=-1)
     return _Joined(replace(layer, images=joined), weights, noise * scale * scale, share)
 
 
@@ -209,12 +206,9 @@ def count_frames(layers: Sequence[_Joined]) -> FloatArray:
     return np.asarray(frames, np.float32)
 
 
-def _even_out(
-    image: FloatArray, albedo: FloatArray | None, edge: NDArray[np.bool_], good: NDArray[np.bool_]
-) -> FloatArray:
-    """Return radiance over albedo, and radiance at edges; 0 at bad pixels."""
-    clean = np.where(good[..., None], np.nan_to_num(image), np.float32(0.0))
-    return np.where(edge[..., None], clean, divide(clean, albedo))
+def _even_out(image: FloatArray, albedo: FloatArray | None, good: NDArray[np.bool_]) -> FloatArray:
+    """Return radiance over albedo; 0 at bad pixels."""
+    return divide(np.where(good[..., None], np.nan_to_num(image), np.float32(0.0)), albedo)
 
 
 def _join_also(
@@ -231,11 +225,10 @@ def _join_also(
     lit = np.maximum(np.sum(light, axis=0), np.float32(1e-12))
     totals: dict[str, FloatArray] = {}
     before = _add_albedos(shot.layers)
-    edge, _, _ = shot.edges
     good = np.logical_and.reduce([mark_good(image) for image in own.also.values()])
     total = good.astype(np.float32)
     for name, image in own.also.items():
-        totals[name] = _even_out(image, before, edge, good) * total[..., None]
+        totals[name] = _even_out(image, before, good) * total[..., None]
     for number, neighbour in near.items():
         others = shots[number].frame.also
         if any(name not in others for name in own.also):
@@ -254,7 +247,7 @@ def _join_also(
     joined = {}
     for name, image in own.also.items():
         mean = totals[name] * inverse
-        joined[name] = np.where(known[..., None], np.where(edge[..., None], mean, multiply(mean, albedo)), image)
+        joined[name] = np.where(known[..., None], multiply(mean, albedo), image)
     return keep_sum(joined, own.also, own.radiance.color, frame.radiance.color)
 
 

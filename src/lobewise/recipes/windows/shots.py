@@ -1,4 +1,4 @@
-"""A frame of a sequence, with what its neighbours in time compare: places, lobes, hits, edges."""
+"""A frame of a sequence, with what its neighbours in time compare: places, lobes, hits."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.combining import mix_albedos
 from lobewise.denoising.recipe import denoise_checked
-from lobewise.filters.windows.edges import mark_edges
 from lobewise.guides.places import compute_surface_places, estimate_curvature
 from lobewise.guides.screen_hits import estimate_screen_hits
-from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.usable import CheckedGuides
 from lobewise.peers import reduce_guides
 from lobewise.recipes.temporal.validation import Guides, ValidationFeatures, make_validation_features
@@ -27,8 +25,6 @@ from lobewise.settings import DenoiseSettings, QualityName, SimilarityName, Temp
 MIN_OWN_MOTION_PIXELS = 0.1
 """Distance between the motion of a surface and the motion of the camera. Below it the surface stands still: the places
 of still surfaces are computed from the cameras, without the errors of motion vectors."""
-EDGE_REACH_PIXELS = 2
-"""Distance from a pixel at an edge to pixels inside of its surfaces."""
 MAX_STEP_SHARE = 0.25
 """Longest own motion between two frames, as a share of the image's longer side."""
 PILOT_QUALITY: QualityName = "balanced"
@@ -36,8 +32,6 @@ PILOT_QUALITY: QualityName = "balanced"
 smeared: films of textures have up to 10 % more error."""
 MAX_SHARP_ALPHA = 0.1
 """Roughness alpha below which reflections are interpolated between pixels."""
-MIN_PASSING_PIXELS = 0.5
-"""Own motion of a surface above which what it covers changes visibly from frame to frame."""
 
 
 class Shot:
@@ -82,11 +76,7 @@ class Shot:
         _, distance = compute_surface_places(camera, self._previous, self.guides.places, motion)
         assert distance is not None
         # At a cut the camera jumps, and motion vectors know nothing of it.
-        distance = np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
-        # At edges renderers average the motion of both surfaces, which is that of none: ask the pixels inside of them.
-        edge, _, _ = self.edges
-        inside = compute_square_maximum(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
-        return np.where(edge & (inside >= 0.0), inside, distance)
+        return np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -146,27 +136,6 @@ class Shot:
         on_screen = estimate_screen_hits(camera, position, depth, normal, self.curvature)
         of_frame = self.frame.gbuffer.hit_distance
         return on_screen if of_frame is None else np.where(of_frame > 0.0, of_frame, on_screen)
-
-    @cached_property
-    def edges(self) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
-        """Pixels at edges, (height, width), and row and column of the surface in front at each pixel."""
-        height, width = self.frame.shape
-        rows, columns = np.indices((height, width))
-        if not self.is_placed:
-            return np.zeros((height, width), np.bool_), rows, columns
-        position, depth = self.guides.places
-        normal = self.frame.gbuffer.require("normal", "edges")
-        angle = self.guides.require_camera("edges").get_pixel_angle(height)
-        edge, way = mark_edges(position, depth, normal, self.frame.gbuffer.object_share, angle)
-        rows = np.clip(rows + way[..., 1].astype(np.intp), 0, height - 1)
-        columns = np.clip(columns + way[..., 0].astype(np.intp), 0, width - 1)
-        return edge, rows, columns
-
-    @cached_property
-    def moving_edges(self) -> NDArray[np.bool_]:
-        """Edges between surfaces of which one moves by itself, (height, width): there the background changes."""
-        edge, _, _ = self.edges
-        return np.asarray(edge & (self.own_motion > MIN_PASSING_PIXELS))
 
 
 def extrapolate_camera(camera: Camera, following: Camera) -> Camera:
