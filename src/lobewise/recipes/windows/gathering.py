@@ -17,8 +17,6 @@ from lobewise.records.frame import FloatArray
 
 MAX_SHARE_EQUAL = 0.2
 """Share of the lit surface pixels that may have exactly the same light in two frames. Above it both have one noise."""
-MIN_DIVIDING_ALBEDO = 0.05
-"""Smallest albedo that radiance is divided by. A pixel whose centre has no albedo may show light of its other part."""
 MIN_GATHERED_AGREEMENT = 0.02
 """Agreement below which a pixel counts as not found."""
 SHARP_AGREEMENT = 0.8
@@ -100,8 +98,7 @@ class Neighbour:
         array, shape (height, width)
             Agreement, 0 to 1.
         """
-        light = (np.maximum(np.nan_to_num(layer.images[slot]), np.float32(0.0)) for slot in slots)
-        even = [divide(image, layer.albedo) for image in light]
+        even = [layer.even[slot] for slot in slots]
         gathered, agreement = self._gather(even, layer.kind)
         if layer.kind == "specular":
             # A mirror that moves shows other things, and nobody knows how fast they pass.
@@ -137,23 +134,13 @@ class Neighbour:
         self, images: Sequence[FloatArray], gathered: Sequence[FloatArray], agreement: FloatArray
     ) -> list[FloatArray]:
         """Return gathered reflections, interpolated where they match well."""
+        sharp = (agreement > SHARP_AGREEMENT) & self._shot.is_sharp
+        if not sharp.any():
+            return list(gathered)
         known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
         places = np.where(known[..., None], self.reflections, self._places)
-        sharp = []
-        for image, blurred in zip(images, gathered, strict=True):
-            values, inside = sample_cubic(image, places)
-            use = inside & (agreement > SHARP_AGREEMENT) & self._shot.is_sharp
-            sharp.append(np.where(use[..., None], np.maximum(values, np.float32(0.0)), blurred))
-        return sharp
-
-
-def divide(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
-    """Return radiance over albedo, (height, width, 3)."""
-    if albedo is None:
-        return image
-    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO)), np.float32)
-
-
-def multiply(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
-    """Return what `divide` took as radiance."""
-    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO))
+        samples = (sample_cubic(image, places) for image in images)
+        return [
+            np.where((inside & sharp)[..., None], np.maximum(values, np.float32(0.0)), blurred)
+            for (values, inside), blurred in zip(samples, gathered, strict=True)
+        ]

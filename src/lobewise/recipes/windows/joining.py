@@ -7,13 +7,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.denoising.also import keep_sum
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
-from lobewise.recipes.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, Shown, divide, multiply
-from lobewise.recipes.windows.layers import PILOT, RADIANCE, LayerImages, put_back
+from lobewise.recipes.windows.gathering import Neighbour, Shown
+from lobewise.recipes.windows.layers import (
+    MIN_DIVIDING_ALBEDO,
+    PILOT,
+    RADIANCE,
+    LayerImages,
+    multiply,
+    put_back,
+)
 from lobewise.recipes.windows.places import compute_places
 from lobewise.recipes.windows.shots import Shot
 from lobewise.records.frame import FloatArray, Frame
@@ -158,7 +164,7 @@ def _join_layer(
     others = {number: layers[layer.name] for number, layers in named.items() if layer.name in layers}
     slots = [slot for slot in layer.images if all(slot in other.images for other in others.values())]
     good = mark_good(layer.images[RADIANCE])
-    own = {slot: _even_out(layer.images[slot], layer.albedo, good) for slot in slots}
+    own = {slot: np.where(good[..., None], layer.even[slot], np.float32(0.0)) for slot in slots}
     weight = good.astype(np.float32)
     totals = {slot: image * weight[..., None] for slot, image in own.items() if slot != PILOT}
     squares, weights = weight.copy(), {}
@@ -206,11 +212,6 @@ def count_frames(layers: Sequence[_Joined]) -> FloatArray:
     return np.asarray(frames, np.float32)
 
 
-def _even_out(image: FloatArray, albedo: FloatArray | None, good: NDArray[np.bool_]) -> FloatArray:
-    """Return radiance over albedo; 0 at bad pixels."""
-    return divide(np.where(good[..., None], np.nan_to_num(image), np.float32(0.0)), albedo)
-
-
 def _join_also(
     shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour], joined_layers: Sequence[_Joined], frame: Frame
 ) -> dict[str, FloatArray]:
@@ -223,12 +224,10 @@ def _join_also(
     albedo = _add_albedos({each.layer.name: each.layer for each in joined_layers})
     light = [np.mean(each.layer.images[RADIANCE], axis=-1) for each in joined_layers]
     lit = np.maximum(np.sum(light, axis=0), np.float32(1e-12))
-    totals: dict[str, FloatArray] = {}
-    before = _add_albedos(shot.layers)
+    before = LayerImages("also", "rest", _add_albedos(shot.layers), own.also)
     good = np.logical_and.reduce([mark_good(image) for image in own.also.values()])
     total = good.astype(np.float32)
-    for name, image in own.also.items():
-        totals[name] = _even_out(image, before, good) * total[..., None]
+    totals = {name: image * total[..., None] for name, image in before.even.items()}
     for number, neighbour in near.items():
         others = shots[number].frame.also
         if any(name not in others for name in own.also):

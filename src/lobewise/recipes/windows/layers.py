@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from lobewise.records.radiance import RadianceLayer, sum_layers
 RADIANCE, PILOT, HALVES = "radiance", "pilot", ("half_a", "half_b")
 PART = "part/"
 """Beginning of the names of images that belong to a layer."""
+MIN_DIVIDING_ALBEDO = 0.05
+"""Smallest albedo that radiance is divided by. A pixel whose centre has no albedo may show light of its other part."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,12 @@ class LayerImages:
     kind: str
     albedo: FloatArray | None
     images: Mapping[str, FloatArray]
+
+    @cached_property
+    def even(self) -> dict[str, FloatArray]:
+        """The images over the albedo, >= 0; 0 where they are not a number."""
+        light = {slot: np.maximum(np.nan_to_num(image), np.float32(0.0)) for slot, image in self.images.items()}
+        return {slot: divide(image, self.albedo) for slot, image in light.items()}
 
 
 def list_layers(frame: Frame, pilot: Result) -> dict[str, LayerImages]:
@@ -140,3 +149,15 @@ def _scale_variance(variance: Images | None, shares: Mapping[str, FloatArray]) -
         name: None if image is None else image * shares.get(name, mean)[..., None] for name, image in parts.items()
     }
     return replace(variance, color=variance.color * mean[..., None], **scaled)
+
+
+def divide(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
+    """Return radiance over albedo, (height, width, 3)."""
+    if albedo is None:
+        return image
+    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO)), np.float32)
+
+
+def multiply(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
+    """Return what `divide` took as radiance."""
+    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO))
