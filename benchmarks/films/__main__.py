@@ -2,7 +2,7 @@
 
     python -m benchmarks.films FOLDER [-o benchmarks/results/films.json] [--film NAME ...] [--pictures FOLDER]
 
-FOLDER holds the films of ``python benchmarks/foreign/factory FOLDER --films --split validation --seeds 100-101``:
+FOLDER holds the films of ``python benchmarks/foreign/factory FOLDER --films --split validation --seeds 100-102``:
 kinds on which nothing is tuned or trained, 16 samples per pixel, two references of each frame. A film of this package's
 own scenes, ``mitsuba_NAME``, is made by ``lobewise render NAME --frames 12 --width 192 --height 144``: 16 samples in
 ``16.####.exr``, and 96 with other seeds in ``reference_1.####.exr`` and ``reference_2.####.exr``. Each way is
@@ -12,6 +12,7 @@ the command line, as people call it, in a process of its own; Open Image Denoise
   mean over the frames. "every" counts all pixels.
 - "worst frame": the largest error of a frame over that of the same frame denoised alone.
 - "flicker": relative squared change from frame to frame, where the clean images agree; without the worst 0.1 %.
+- "textures": error of pixels within surfaces at which the albedo changes.
 - "came into view": error of pixels whose surface came into view less than two frames ago, where the film has a camera.
 - "cpu_seconds" of a frame, and "peak_gib" of the process.
 """
@@ -27,11 +28,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.foreign.judging import WORST, Judge
 from benchmarks.performance.streaming import run
 from benchmarks.users.measuring import make_reference_judge
+from lobewise.denoising.layers import compute_whole_albedo
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.interchange import read_frame
 from lobewise.metrics import EPSILON, find_disoccluded
@@ -53,6 +56,11 @@ OWN_SCENES = "mitsuba_"
 """Beginning of the names of films that ``lobewise render`` made."""
 STRIP = ("noisy", "oidn", "auto", "auto, window", "temporal")
 """Rows of a strip, above the clean frames."""
+MIN_ALBEDO_STEP, MIN_NORMAL_COSINE = 0.1, 0.9
+"""Difference of albedo within 3x3 pixels from which a pixel belongs to a texture, and cosine of normals there from which
+these pixels lie on one surface."""
+ANIMATED, ANIMATION_ZOOM, FRAME_MILLISECONDS = ("noisy", "auto", "auto, window"), 2, 125
+"""Pictures of an animation, side by side."""
 MAX_CLEAN_CHANGE = 0.002
 """Largest relative squared change of the clean images at a pixel where they agree."""
 
@@ -86,6 +94,19 @@ def mark_new(frames: list[Frame]) -> list[NDArray[np.bool_]] | None:
     return found
 
 
+def mark_textures(frame: Frame) -> NDArray[np.bool_]:
+    """Return the pixels of a frame at which the albedo changes within a surface."""
+    albedo, normal = frame.gbuffer.denoiser_albedo, frame.gbuffer.normal
+    if albedo is None:
+        albedo = compute_whole_albedo(frame.gbuffer)
+    if albedo is None or normal is None:
+        return np.zeros(frame.shape, np.bool_)
+    gray = albedo.mean(axis=-1)
+    step = maximum_filter(gray, 3) - minimum_filter(gray, 3)
+    mean = np.stack([uniform_filter(normal[..., axis], 3) for axis in range(3)], axis=-1)
+    return np.asarray((step > MIN_ALBEDO_STEP) & (np.linalg.norm(mean, axis=-1) > MIN_NORMAL_COSINE))
+
+
 def measure_flicker(images: list[FloatArray], judges: list[Judge]) -> float:
     """Return the change from frame to frame where the clean images agree."""
     steps = []
@@ -98,11 +119,20 @@ def measure_flicker(images: list[FloatArray], judges: list[Judge]) -> float:
     return float(np.mean(steps))
 
 
-def measure(images: list[FloatArray], judges: list[Judge], new: list[NDArray[np.bool_]] | None) -> dict[str, Any]:
+def measure(
+    images: list[FloatArray],
+    judges: list[Judge],
+    textures: list[NDArray[np.bool_]],
+    new: list[NDArray[np.bool_]] | None,
+) -> dict[str, Any]:
     """Return the figures of the images of a film, but for those of time and memory."""
     every, errors = zip(*(judge.measure(image) for judge, image in zip(judges, images, strict=True)), strict=True)
     found = {"error": float(np.mean(errors)), "every": float(np.mean(every)), "errors": list(errors)}
     found["flicker"] = measure_flicker(images, judges)
+    pairs = zip(judges, images, textures, strict=True)
+    on_textures = np.sort(np.concatenate([judge.make_error_map(image)[mask] for judge, image, mask in pairs]))
+    kept = on_textures[: len(on_textures) - round(WORST * len(on_textures))]
+    found["textures"] = float(kept.mean()) if len(kept) else None
     if new is not None:
         maps = [judge.make_error_map(image)[mask] for judge, image, mask in zip(judges, images, new, strict=True)]
         shown = np.concatenate(maps)
@@ -132,7 +162,8 @@ def measure_film(folder: Path, pictures: Path | None) -> dict[str, Any]:
     used: dict[str, dict[str, float]] = {"oidn": {"cpu_seconds": round(seconds / len(frames), 3)}}
     for way, options in WAYS.items():
         shots[way], used[way] = denoise_film(folder, options, len(frames))
-    found = {way: {**measure(images, judges, new), **used.get(way, {})} for way, images in shots.items()}
+    textures = [mark_textures(frame) for frame in frames]
+    found = {way: {**measure(images, judges, textures, new), **used.get(way, {})} for way, images in shots.items()}
     for way, alone in ALONE.items():
         ratios = np.divide(found[way]["errors"], found[alone]["errors"])
         found[way]["worst frame"] = float(ratios.max())
@@ -142,7 +173,16 @@ def measure_film(folder: Path, pictures: Path | None) -> dict[str, Any]:
         exposure = choose_exposure(clean[0])
         rows = [np.concatenate(images[4:8], axis=1) for images in (*map(shots.__getitem__, STRIP), clean)]
         Image.fromarray(map_tones(np.concatenate(rows), exposure)).save(pictures / f"{folder.name}.png")
+        draw_animation([shots[way] for way in ANIMATED], exposure, pictures / f"{folder.name}.webp")
     return {"moves": json.loads((folder / "moves.json").read_text()), "ways": found}
+
+
+def draw_animation(films: list[list[FloatArray]], exposure: float, path: Path) -> None:
+    """Write films side by side, as they are."""
+    rows = [map_tones(np.concatenate(images, axis=1), exposure) for images in zip(*films, strict=True)]
+    pictures = [Image.fromarray(row.repeat(ANIMATION_ZOOM, 0).repeat(ANIMATION_ZOOM, 1)) for row in rows]
+    options: dict[str, Any] = {"duration": FRAME_MILLISECONDS, "loop": 0, "quality": 85}
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], **options)
 
 
 def summarize(films: dict[str, Any]) -> dict[str, Any]:
@@ -156,7 +196,10 @@ def summarize(films: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for way in ("noisy", *WAYS):
         cells = [(film["ways"][way], film["ways"]["oidn"]) for film in films.values()]
-        found[way] = {f"{key} over oidn": average([a[key] / b[key] for a, b in cells]) for key in ("error", "flicker")}
+        found[way] = {
+            f"{key} over oidn": average([a[key] / b[key] for a, b in cells if a[key] is not None])
+            for key in ("error", "flicker", "textures")
+        }
         if way in ALONE:
             pairs = [(film["ways"][way], film["ways"][ALONE[way]]) for film in films.values()]
             keys = ("error", "flicker", "cpu_seconds")
