@@ -56,9 +56,9 @@ OWN_SCENES = "mitsuba_"
 """Beginning of the names of films that ``lobewise render`` made."""
 STRIP = ("noisy", "oidn", "auto", "auto, window", "temporal")
 """Rows of a strip, above the clean frames."""
-MIN_ALBEDO_STEP, MIN_NORMAL_COSINE = 0.1, 0.9
-"""Difference of albedo within 3x3 pixels from which a pixel belongs to a texture, and cosine of normals there from which
-these pixels lie on one surface."""
+MIN_ALBEDO_STEP, MIN_NORMAL_LENGTH = 0.1, 0.9
+"""Difference of albedo within 3x3 pixels from which a pixel shows a texture, and length of the mean normal there from
+which the pixels lie on one surface."""
 ANIMATED, ANIMATION_ZOOM, FRAME_MILLISECONDS = ("noisy", "auto", "auto, window"), 2, 125
 """Pictures of an animation, side by side."""
 MAX_CLEAN_CHANGE = 0.002
@@ -104,7 +104,7 @@ def mark_textures(frame: Frame) -> NDArray[np.bool_]:
     gray = albedo.mean(axis=-1)
     step = maximum_filter(gray, 3) - minimum_filter(gray, 3)
     mean = np.stack([uniform_filter(normal[..., axis], 3) for axis in range(3)], axis=-1)
-    return np.asarray((step > MIN_ALBEDO_STEP) & (np.linalg.norm(mean, axis=-1) > MIN_NORMAL_COSINE))
+    return np.asarray((step > MIN_ALBEDO_STEP) & (np.linalg.norm(mean, axis=-1) > MIN_NORMAL_LENGTH))
 
 
 def measure_flicker(images: list[FloatArray], judges: list[Judge]) -> float:
