@@ -114,7 +114,6 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
             denoiser_normal=vector(3),
             mean_emission=rng.random((height, width, 3)),
             coverage=rng.multinomial(16, np.full(9, 1 / 9), (height, width)) / 16,
-            object_share=rng.integers(4, 17, (height, width)) / 16,
             blur_radius=rng.integers(0, 17, (height, width)) / 2,
             motion=vector(2),
             reflected_motion=vector(3),

@@ -84,7 +84,7 @@ def name_layers(frame: Frame) -> Frame:
     blur = np.broadcast_to(np.linspace(0.0, 6.0, height, dtype=np.float32)[:, None], frame.shape)
     return frame.with_changes(
         radiance=Radiance(color, diffuse=diffuse, specular=specular),
-        gbuffer=replace(guides, blur_radius=blur, object_share=np.clip(1.2 - 0.1 * blur, 0.4, 1.0)),
+        gbuffer=replace(guides, blur_radius=blur),
         half_a=None,
         half_b=None,
         layers=layers,

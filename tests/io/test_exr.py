@@ -77,7 +77,7 @@ class TestRoundTrip:
         expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "denoiser") for c in "RGB"]
         expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
         expected += [f"mean_emission.{c}" for c in "RGB"]
-        expected += [*(f"coverage.{k}" for k in range(9)), "object_share.S", "blur_radius.R"]
+        expected += [*(f"coverage.{k}" for k in range(9)), "blur_radius.R"]
         assert sorted(channels) == sorted(expected)
         np.testing.assert_array_equal(channels["half_b.specular.G"], full_frame.half_b.specular[..., 1])
         np.testing.assert_array_equal(channels["alpha.V"], full_frame.gbuffer.alpha_v)

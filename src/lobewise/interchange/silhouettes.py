@@ -30,13 +30,12 @@ NEAREST_FIRST = ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (
 
 
 class Silhouettes(NamedTuple):
-    """Values of `lobewise.GBuffer.coverage` and `object_share`; None if the file does not show silhouettes.
+    """Values of `lobewise.GBuffer.coverage`; None if the file does not show silhouettes.
 
     ``source`` is what shows them: the passes of a Cryptomatte, or alpha.
     """
 
     coverage: FloatArray | None = None
-    object_share: FloatArray | None = None
     source: tuple[Found, ...] = ()
 
 
@@ -89,12 +88,12 @@ def compute_silhouettes(source: tuple[Found, ...], read: ImageReader, *, wraps: 
         ids, shares = [np.ones(planes[0].shape, np.uint32)], [planes[0].astype(np.float32)]
     else:
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
-    coverage, object_share = crop_columns(compute_coverage(ids, shares), width)
-    return Silhouettes(coverage, object_share, source)
+    (coverage,) = crop_columns((compute_coverage(ids, shares),), width)
+    return Silhouettes(coverage, source)
 
 
-def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours, and to one object.
+def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
+    """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours.
 
     A pixel is owned by the object with the largest share of it. The share of any other object goes, in equal parts, to
     the neighbours that this object owns: to those that share a side with the pixel, else to those at its corners, else
@@ -109,10 +108,8 @@ def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatAr
 
     Returns
     -------
-    coverage : array, shape (height, width, 9)
+    array, shape (height, width, 9)
         As `lobewise.GBuffer.coverage`.
-    object_share : array, shape (height, width)
-        As `lobewise.GBuffer.object_share`.
 
     Raises
     ------
@@ -127,12 +124,12 @@ def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatAr
             got=f"{len(ids)} ids and {len(shares)} shares of the shapes {sorted({each.shape for each in planes})}",
             action="read id and share of every rank",
         )
-    owner, edges, object_share = _choose_owners(ids, shares)
+    owner, edges = _choose_owners(ids, shares)
     coverage = np.zeros((*owner.shape, 9), np.float32)
     coverage[..., 4] = 1.0
     rows, columns = np.nonzero(edges)
     if not len(rows):
-        return coverage, object_share
+        return coverage
     around = np.full((owner.shape[0] + 2, owner.shape[1] + 2), -1, np.int64)
     around[1:-1, 1:-1] = owner
 
@@ -143,7 +140,7 @@ def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatAr
         coverage[here] = _spread(objects, parts, neighbours, owner[here])
 
     run_chunks(fill, 1, len(rows))
-    return coverage, object_share
+    return coverage
 
 
 def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
@@ -161,10 +158,10 @@ def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[
 
 def _choose_owners(
     ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
-) -> tuple[NDArray[np.uint32], NDArray[np.bool_], FloatArray]:
-    """Return the object with the largest share of every pixel, or background; whether it shows several; the share."""
+) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
+    """Return the object with the largest share of every pixel, or background; and whether the pixel shows several."""
     size = ids[0].shape
-    owner, edges, object_share = np.empty(size, np.uint32), np.empty(size, np.bool_), np.empty(size, np.float32)
+    owner, edges = np.empty(size, np.uint32), np.empty(size, np.bool_)
 
     def find(chunk: Chunk) -> None:
         largest = total = np.zeros(owner[chunk].shape, np.float32)
@@ -175,11 +172,9 @@ def _choose_owners(
             largest, total = np.maximum(largest, share), total + share
         owner[chunk] = np.where(1.0 - total > largest, np.uint32(0), own)
         edges[chunk] = largest < MIN_WHOLE_SHARE
-        rest = np.maximum(1.0 - total, 0.0)
-        object_share[chunk] = np.maximum(largest, rest) / np.maximum(total + rest, np.float32(1e-6))
 
     run_chunks(find, *size)
-    return owner, edges, object_share
+    return owner, edges
 
 
 def _spread(

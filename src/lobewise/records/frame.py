@@ -83,9 +83,6 @@ class GBuffer(Images):
     coverage : array_like, shape (height, width, 9), optional
         Shares of the pixel's area, row by row, that belong to the surfaces at the centres of its 3x3 neighbours: in
         [0, 1], sum 1; the pixel itself has index 4; 0 for neighbours outside the image, if it does not wrap around.
-    object_share : array_like, shape (height, width), optional
-        Largest share of the pixel's area that shows one object or the background, in (0, 1]. It is below 1 at
-        silhouettes, and in wide areas where depth of field or motion blurs them.
     blur_radius : array_like, shape (height, width), optional
         Radius of the area that the lens blurs the pixel over, its circle of confusion: pixels, >= 0, 0 in focus;
         NaN where it is not known.
@@ -120,7 +117,6 @@ class GBuffer(Images):
     denoiser_normal: MaybeImage = ABSENT
     mean_emission: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
-    object_share: MaybeImage = ABSENT
     blur_radius: MaybeImage = ABSENT
     motion: MaybeImage = ABSENT
     reflected_motion: MaybeImage = ABSENT

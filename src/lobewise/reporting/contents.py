@@ -36,7 +36,6 @@ MEANINGS = {
     "denoiser_normal": "the renderer's normal for denoisers",
     "mean_emission": "light of lamps and background, averaged over the pixel",
     "coverage": "how much of the pixel its own surface covers",
-    "object_share": "largest share of the pixel that shows one object",
     "blur_radius": "how far the lens blurs, in pixels",
     "motion": "motion since the frame before: right is red, down is green",
     "reflected_motion": "motion of the reflected surface",

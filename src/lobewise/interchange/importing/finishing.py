@@ -121,7 +121,6 @@ def make_frame(draft: Draft) -> Outcome:
         specular_albedo=specular_albedo,
         motion=None if motion is None else convert_plain(motion, draft.roles["motion"].convert),
         coverage=coverage,
-        object_share=draft.silhouettes.object_share,
         blur_radius=draft.blur_radius,
         # Other renderers' albedos are means over the pixel's area.
         mean_diffuse_albedo=None if coverage is None else diffuse_albedo,

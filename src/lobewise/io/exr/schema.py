@@ -95,8 +95,6 @@ _GBUFFER = (
      "edges of lamps and of the background are as noisy as the samples"),
     ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
      "not needed to denoise"),
-    ("object_share", "object_share", "S", "largest share of the pixel's area that one object has, 0..1",
-     "not needed to denoise"),
     ("blur_radius", "blur_radius", "R", "radius over which the lens blurs the pixel, pixels, 0 in focus",
      "specks of lights out of focus stay"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
@@ -120,7 +118,7 @@ def _name_kind(field: str) -> str:
     """Return the kind of an image of the G-buffer, as in `Slot`."""
     if field == "mean_emission":
         return "radiance"
-    return "share" if field.endswith(("albedo", "coverage", "share")) else "geometry"
+    return "share" if field.endswith(("albedo", "coverage")) else "geometry"
 
 
 SLOTS: tuple[Slot, ...] = tuple(_make_slots())

@@ -13,9 +13,7 @@ from lobewise.work.overlap import tell_in_turn
 if TYPE_CHECKING:
     from lobewise.recipes.files.result import FileResult
 
-NO_SETTING_USES = frozenset(
-    {"motion", "object_share", "blur_radius", "variance", "radiance.direct", "radiance.indirect"}
-)
+NO_SETTING_USES = frozenset({"motion", "blur_radius", "variance", "radiance.direct", "radiance.indirect"})
 """Images that are not used where other images are missing or there is one frame alone: no setting would change it."""
 
 

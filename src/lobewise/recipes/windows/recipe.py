@@ -35,7 +35,7 @@ NO_MOTION = (
 )
 NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or positions and the camera."}
 """The end of `NO_MOTION`, by whether the frame has positions or depths."""
-USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal", "object_share")
+USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
 """Guides that frames are compared by, whatever the denoiser reads."""
 REPEATED = (
     "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
