@@ -55,7 +55,7 @@ PAGES = {
     "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget", "files")),
     "docs/developers/quality.md": Source(mechanisms.make_mechanism_figures, ("switched_off",)),
     "docs/developers/quality_results.md": Source(quality.make_figures, ("quality",)),
-    "docs/developers/renderers_results.md": Source(groups.make_figures, ("groups",)),
+    "docs/developers/renderers_results.md": Source(groups.make_figures, ("groups", "light_passes")),
     "docs/developers/releasing.md": Source(core.make_figures, ("core",)),
     "docs/developers/research/mixing_networks.md": Source(shares.make_figures, ("shares",)),
     "docs/developers/filter_results.md": Source(performance.make_result_figures, ("filters", "lobes")),

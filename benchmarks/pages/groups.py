@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pages.light_passes import make_pass_table
 from benchmarks.pages.tables import make_table
 
 METHODS = ("noisy", "fast", "balanced", "high", "auto", "Open Image Denoise")
 
 
-def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+def make_figures(measured: Mapping[str, Any], passes: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/developers/renderers_results.md by place."""
     files = measured["files"].values()
     groups = [errors for file in files for errors in file["errors"].values() if errors["noisy"] > 0.0]
@@ -28,4 +29,4 @@ def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
         "worse than noisy",
         "time over the picture alone",
     ]
-    return {"groups": make_table(header, rows)}
+    return {"groups": make_table(header, rows), "passes": make_pass_table(passes)}

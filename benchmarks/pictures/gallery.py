@@ -4,10 +4,12 @@
 
 ``FOLDER`` holds a folder for each shot, with ``16.exr`` and ``reference_1.exr``: the page has the commands that render
 them, by Blender Cycles (``benchmarks/foreign/factory``) or by our own renderer. Writes docs/_static/gallery,
-benchmarks/results/gallery_shots.json and the part of docs/developers/gallery.md between its marks.
+benchmarks/results/gallery_shots.json and the part of docs/developers/gallery.md between its marks. Shots that are not
+in the folder stay as they are.
 """
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,7 @@ from lobewise.peers import denoise_oidn
 from lobewise.records.frame import FloatArray
 
 PAGE, PICTURES = ROOT / "docs" / "developers" / "gallery.md", ROOT / "docs" / "_static" / "gallery"
-START, END = "<!-- shots:start -->\n", "<!-- shots:end -->\n"
+START, END, HEADING = "<!-- shots:start -->\n", "<!-- shots:end -->\n", "### "
 PAIRS = (
     ("noisy", "auto"),
     ("Open Image Denoise", "auto"),
@@ -71,7 +73,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     PICTURES.mkdir(parents=True, exist_ok=True)
-    blocks, rows = [], {}
+    before, rest = PAGE.read_text().split(START)
+    drawn, after = rest.split(END)
+    rows = json.loads((RESULTS / "gallery_shots.json").read_text())["errors"]
+    titles = [f"{HEADING}{part}".rstrip() for part in drawn.split(HEADING)[1:]]
+    blocks = dict(zip(sorted(rows), titles, strict=True))
     for path in sorted(parser.parse_args().folder.glob("*/reference_1.exr")):
         shot, frame = path.parent.name, lobewise.read_frame(path.with_name("16.exr"))
         reference = lobewise.read_frame(path).radiance.color
@@ -96,12 +102,11 @@ def main() -> None:
             [*list_commands(kind, seed, frame), *(f"lobewise denoise {shot}/16.exr {end}" for end in ENDS)]
         )
         by = "Blender Cycles" if seed else "our own renderer"
-        title = f"### {kind.capitalize()}, by {by}, 16 samples"
-        blocks.append(f"{title}\n\nErrors: {told}.\n\n```bash\n{commands}\n```\n\n```{{raw}} html\n{wipes}\n```\n")
-    write_json(RESULTS / "gallery_shots.json", {"spp": 16, "errors": rows})
-    text = PAGE.read_text()
-    before, rest = text.split(START)
-    PAGE.write_text(before + START + "\n" + "\n".join(blocks) + "\n" + END + rest.split(END)[1])
+        title = f"{HEADING}{kind.capitalize()}, by {by}, 16 samples"
+        blocks[shot] = f"{title}\n\nErrors: {told}.\n\n```bash\n{commands}\n```\n\n```{{raw}} html\n{wipes}\n```"
+    write_json(RESULTS / "gallery_shots.json", {"spp": 16, "errors": dict(sorted(rows.items()))})
+    whole = "\n\n".join(blocks[shot] for shot in sorted(blocks))
+    PAGE.write_text(f"{before}{START}\n{whole}\n\n{END}{after}")
 
 
 if __name__ == "__main__":
