@@ -226,6 +226,12 @@ class TestAveraging:
         }
         assert errors["light"] < 0.2 * errors["pictures"]
 
+    def test_a_lamp_that_brightens_does_not_lag(self):
+        """By less than the noise from frame to frame."""
+        frames = [make_frame(STILL, STILL, light=1.06**k, noise=NOISE, seed=k) for k in range(3)]
+        mean, alone = self.average(frames, 2)
+        assert mean.image.mean() == pytest.approx(alone.image.mean(), rel=0.005)
+
     def test_images_keep_their_sums(self):
         frames = [split(frame) for frame in make_moving(3)]
         averaged, _ = self.average(frames, 1)

@@ -16,6 +16,7 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
+from lobewise.guides.squares import sum_square
 from lobewise.records.frame import FloatArray
 
 WIDTH_COUNT = 2
@@ -29,6 +30,9 @@ MIN_RELATIVE_NOISE = 1e-6
 SMEARED_SHARE = 0.05
 """Difference of two denoised images, blurred and over the local light, at which one counts half for the other: above it
 the light has changed more often than a denoiser has smeared its noise."""
+GAIN_RADIUS_PIXELS, MAX_GAIN = 16, 1.4
+"""Distance, rows or columns, of the pixels whose mean light tells how far another frame is brighter, and largest factor
+that makes up for it."""
 UNCOMPARED_SHARE = 0.1
 """Light below which differences of denoised images count as in the dark, over the mean light of the image."""
 MIN_LIGHT = 1e-4
@@ -98,6 +102,23 @@ def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
     floor = np.float32(UNCOMPARED_SHARE) * _compute_mean(own)
     blurred = {"own": blur_image(own, 1), "other": blur_image(other, 1)}
     return engine.pixels(_define_likeness, blurred, {"floor": floor})[0]
+
+
+def compute_gain(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
+    """Return the factor, (height, width, 1), that makes the light of another frame as bright as this frame's nearby.
+
+    A lamp that becomes brighter changes each pixel by less than its noise. The mean over many pixels shows it.
+
+    Parameters
+    ----------
+    own, other : array, shape (height, width, 3)
+        Denoised radiance of the frame, and of another frame at the pixels of this one.
+    agreement : array, shape (height, width)
+        How well the surfaces match, 0 to 1.
+    """
+    here, there = (sum_square(np.mean(image, axis=-1) * agreement, GAIN_RADIUS_PIXELS) for image in (own, other))
+    gain = np.divide(here, there, out=np.ones_like(there), where=there > 0.0)
+    return np.clip(gain, np.float32(1.0 / MAX_GAIN), np.float32(MAX_GAIN))[..., None]
 
 
 def _define_likeness(grid: Grid) -> list[Vector]:
