@@ -118,7 +118,7 @@ def compute_gain(own: FloatArray, other: FloatArray, agreement: FloatArray) -> F
     """
     here, there = (sum_square(np.mean(image, axis=-1) * agreement, GAIN_RADIUS_PIXELS) for image in (own, other))
     gain = np.divide(here, there, out=np.ones_like(there), where=there > 0.0)
-    return np.clip(gain, np.float32(1.0 / MAX_GAIN), np.float32(MAX_GAIN))[..., None]
+    return np.asarray(np.clip(gain, np.float32(1.0 / MAX_GAIN), np.float32(MAX_GAIN))[..., None])
 
 
 def _define_likeness(grid: Grid) -> list[Vector]:
