@@ -104,7 +104,10 @@ class Shot:
     def layers(self) -> dict[str, LayerImages]:
         """The layers of the frame by name, with their pilots: what a first denoising makes of them."""
         settings = replace(self._settings, quality=PILOT_QUALITY, with_oidn=False)
-        pilot = denoise_checked(CheckedGuides(self.frame.with_changes(alpha=None, also={})), settings)
+        # Passes have the weights of their layers, and need no pilots.
+        bare = tuple(replace(layer, parts={}) for layer in self.frame.layers)
+        frame = self.frame.with_changes(alpha=None, also={}, layers=bare)
+        pilot = denoise_checked(CheckedGuides(frame), settings)
         return list_layers(self.frame, pilot)
 
     @cached_property
