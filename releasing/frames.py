@@ -59,7 +59,6 @@ def make_frame(size: tuple[int, int] = SIZE, seed: int = 1) -> Frame:
         mean_specular_albedo=image(0.3, 0.7, 3),
         mean_emission=image(0.0, 0.1, 3),
         coverage=coverage,
-        object_share=image(0.5, 1.0),
         motion=np.zeros((*size, 2), np.float32),
     )
     a, b = light(), light()
@@ -102,7 +101,7 @@ def vary_main_images(frame: Frame) -> Iterator[Frame]:
 def vary_rare_images(frame: Frame) -> Iterator[Frame]:
     """Yield the frame with one image or property changed at a time."""
     yield drop(frame, "coverage")
-    yield drop(frame, "object_share", "mean_emission")
+    yield drop(frame, "mean_emission")
     yield drop(frame, "mean_normal", "mean_diffuse_albedo", "mean_specular_albedo")
     yield drop(frame, "alpha_u", "alpha_v", "tangent", "lobe_kind")
     yield drop(frame, "lobe_kind")
@@ -151,7 +150,6 @@ _TOGETHER = (
     ("hit_distance",),
     ("mean_emission",),
     ("coverage",),
-    ("object_share",),
     ("motion",),
 )
 """Images of a G-buffer that are present or absent together."""
