@@ -30,7 +30,7 @@ MIN_RELATIVE_NOISE = 1e-6
 SMEARED_SHARE = 0.05
 """Difference of two denoised images, blurred and over the local light, at which one counts half for the other: above it
 the light has changed more often than a denoiser has smeared its noise."""
-GAIN_RADIUS_PIXELS, MAX_GAIN = 16, 1.4
+BRIGHTNESS_RADIUS_PIXELS, MAX_BRIGHTNESS_FACTOR = 16, 1.4
 """Distance, rows or columns, of the pixels whose mean light tells how far another frame is brighter, and largest factor
 that makes up for it."""
 UNCOMPARED_SHARE = 0.1
@@ -104,7 +104,7 @@ def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
     return engine.pixels(_define_likeness, blurred, {"floor": floor})[0]
 
 
-def compute_gain(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
+def compute_brightness_factor(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
     """Return the factor, (height, width, 1), that makes the light of another frame as bright as this frame's nearby.
 
     A lamp that becomes brighter changes each pixel by less than its noise. The mean over many pixels shows it.
@@ -116,9 +116,11 @@ def compute_gain(own: FloatArray, other: FloatArray, agreement: FloatArray) -> F
     agreement : array, shape (height, width)
         How well the surfaces match, 0 to 1.
     """
-    here, there = (sum_square(np.mean(image, axis=-1) * agreement, GAIN_RADIUS_PIXELS) for image in (own, other))
-    gain = np.divide(here, there, out=np.ones_like(there), where=there > 0.0)
-    return np.asarray(np.clip(gain, np.float32(1.0 / MAX_GAIN), np.float32(MAX_GAIN))[..., None])
+    here, there = (sum_square(np.mean(image, axis=-1) * agreement, BRIGHTNESS_RADIUS_PIXELS) for image in (own, other))
+    factor = np.divide(here, there, out=np.ones_like(there), where=there > 0.0)
+    return np.asarray(
+        np.clip(factor, np.float32(1.0 / MAX_BRIGHTNESS_FACTOR), np.float32(MAX_BRIGHTNESS_FACTOR))[..., None]
+    )
 
 
 def _define_likeness(grid: Grid) -> list[Vector]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.filters.windows.weighing import compare_denoised, compute_gain
+from lobewise.filters.windows.weighing import compare_denoised, compute_brightness_factor
 from lobewise.recipes.windows.gathering import Shown
 from lobewise.records.frame import FloatArray, Result
 from lobewise.records.images import list_packed
@@ -43,21 +43,21 @@ def average_denoised(own: Windowed, others: Sequence[tuple[Shown, Windowed]]) ->
         Where the neighbours show the surfaces of the frame, and what denoising made of them.
     """
     unit, units = own.unit, [other.unit for _, other in others]
-    total, weights, gains = np.ones(own.result.image.shape[:2], np.float32), [], []
+    total, weights, factors = np.ones(own.result.image.shape[:2], np.float32), [], []
     for (shown, other), its_unit in zip(others, units, strict=True):
         light, agreement = shown.gather(other.result.image / its_unit)
-        gains.append(compute_gain(own.result.image, light * unit, agreement))
-        weights.append(agreement * compare_denoised(own.result.image, light * (gains[-1] * unit)))
+        factors.append(compute_brightness_factor(own.result.image, light * unit, agreement))
+        weights.append(agreement * compare_denoised(own.result.image, light * (factors[-1] * unit)))
         total = total + weights[-1]
 
     def average(first: FloatArray, name: str, group: str = "", *, is_light: bool = True) -> FloatArray:
         mean = first
-        for (shown, other), its_unit, weight, gain in zip(others, units, weights, gains, strict=True):
+        for (shown, other), its_unit, weight, factor in zip(others, units, weights, factors, strict=True):
             second = getattr(other.result, group).get(name) if group else getattr(other.result, name)
             if second is not None:
                 values, _ = shown.gather(second / its_unit if is_light else second)
                 share = (weight / total)[..., None] if first.ndim == 3 else weight / total
-                mean = mean + share * ((values * (gain * unit) if is_light else values) - first)
+                mean = mean + share * ((values * (factor * unit) if is_light else values) - first)
         # Sampling between pixels overshoots beside strong contrast.
         return np.asarray(np.maximum(mean, np.minimum(first, np.float32(0.0))), np.float32)
 
