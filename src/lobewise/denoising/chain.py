@@ -29,6 +29,7 @@ from lobewise.denoising.also import (
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels
 from lobewise.denoising.combining import (
     CHOOSE,
+    NEAR_RADIUS,
     LayerImage,
     choose_between,
     denoise_with_peer,
@@ -67,6 +68,7 @@ from lobewise.filters.fireflies import count_light, cut_samples
 from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, choose_sharing
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.records.frame import FloatArray, Frame, GBuffer
 from lobewise.settings import ResolvedSettings
@@ -519,13 +521,15 @@ def scale_parts(
 ) -> tuple[Filtered, list[FloatArray]]:
     """Bring ``parts`` of an image ``before`` to the image of ``filtered``; return the factors of the other light.
 
-    Where a lens blurs it, the other light has noise as layers have, and takes a share of the difference instead.
+    Where a lens blurs lamps, their light is what the layers leave of the image, up to the brightest sample of a lamp
+    within `NEAR_RADIUS` pixels: the noise of layers explains no lamp. The layers share what is left by their noise.
     """
     image, scaled, gain = share_out(filtered.image, before, parts, surface)
-    rest = None if filtered.sharing is None else compute_rest(frame)
+    rest = compute_rest(frame) if filtered.sharing is not None and frame.unscattered else None
     if rest is None:
         return replace(filtered, image=image, parts=scaled), [gain]
-    averaged = np.maximum(before - sum_parts(parts), np.float32(0.0))
+    most = compute_square_maximum(np.maximum(blacken_bad(rest), np.float32(0.0)), NEAR_RADIUS)
+    averaged = np.clip(image - sum_parts(parts), np.float32(0.0), most)
     *scaled, rest = share_by_noise(image, [*parts, averaged], [*filtered.noisy, rest])
     return replace(filtered, image=image, parts=scaled, rest=rest), []
 
