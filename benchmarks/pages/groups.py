@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pages.light_passes import make_pass_table
-from benchmarks.pages.tables import make_table
+from benchmarks.pages.tables import RATIOS, describe_ratios, make_table
 
 METHODS = ("noisy", "fast", "balanced", "high", "auto", "Open Image Denoise")
 
@@ -19,14 +19,7 @@ def make_figures(measured: Mapping[str, Any], passes: Mapping[str, Any]) -> dict
     for method in METHODS:
         ratios = np.array([errors[method] / errors["noisy"] for errors in groups])
         times = [file["time"][method] for file in files if method in file["time"]]
-        worse = f"{np.count_nonzero(ratios > 1.0)} of {len(groups)}"
         time = f"{np.median(times):.1f}" if times else ""
-        rows.append([method, f"{np.exp(np.log(ratios).mean()):.2f}", f"{ratios.max():.2f}", worse, time])
-    header = [
-        "",
-        "error over the noisy one, geometric mean",
-        "largest",
-        "worse than noisy",
-        "time over the picture alone",
-    ]
+        rows.append([method, *describe_ratios(ratios, 2), time])
+    header = ["", *RATIOS, "time over the picture alone"]
     return {"groups": make_table(header, rows), "passes": make_pass_table(passes)}

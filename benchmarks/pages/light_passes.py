@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.pages.tables import make_table
+from benchmarks.pages.tables import RATIOS, describe_ratios, make_table
 
 METHODS = {
     "noisy": "noisy",
@@ -25,14 +25,6 @@ def make_pass_table(measured: Mapping[str, Any]) -> str:
     for method, title in METHODS.items():
         ratios = np.array([max(errors[method], MIN_ERROR) / errors["noisy"] for errors in passes])
         sums = [shot["sum"][method] for shot in shots if method in shot["sum"]]
-        worse = f"{np.count_nonzero(ratios > 1.0)} of {len(passes)}"
         steps = f"{np.median(sums):.1f} ({max(sums):.0f})" if sums else ""
-        rows.append([title, f"{np.exp(np.log(ratios).mean()):.3f}", f"{ratios.max():.2f}", worse, steps])
-    header = [
-        "",
-        "error over the noisy one, geometric mean",
-        "largest",
-        "worse than noisy",
-        "steps from the picture: median of the shots' largest (largest of all)",
-    ]
-    return make_table(header, rows)
+        rows.append([title, *describe_ratios(ratios, 3), steps])
+    return make_table(["", *RATIOS, "steps from the picture: median of the shots' largest (largest of all)"], rows)

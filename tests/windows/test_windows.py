@@ -117,6 +117,9 @@ class TestJoining:
         truth = make_truth(frames[2])
         assert np.isfinite(joined.specular[20, 30]).all()
         assert abs(joined.diffuse[20, 30].mean() / (0.4 * truth[20, 30].mean()) - 1.0) < 1.0
+        bad = WindowFilter(2, quality="fast").denoise(frames, 2).bad_pixels
+        assert bad[20, 30]
+        assert np.count_nonzero(bad) == 1
 
     def test_halves_keep_their_mean_and_stay_independent(self):
         pairs = [(make_still(5), [make_frame(STILL, STILL, noise=NOISE, seed=50 + k) for k in range(5)])][0]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from weakref import ref
 
 from lobewise.denoising.automatic import change_settings, choose_similarity
+from lobewise.denoising.bad_pixels import mark_bad_pixels
 from lobewise.denoising.plan import count_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
@@ -167,10 +168,11 @@ class WindowFilter:
             return prepared.windowed
         joined = self._join(frames, index)
         result = denoise_checked(CheckedGuides(joined.frame), self._settings)
+        prepared = self._prepared[id(frames[index])]
         if joined.shown:
             unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
-            result = replace(result, unused=unused, also={**joined.frame.unscattered, **result.also})
-        prepared = self._prepared[id(frames[index])]
+            also, bad = {**joined.frame.unscattered, **result.also}, mark_bad_pixels(prepared.checked)
+            result = replace(result, unused=unused, also=also, bad_pixels=bad)
         prepared.window, prepared.windowed = window, Windowed(result, joined.albedo)
         prepared.shown, prepared.window_notes = joined.shown, self._explain(frames, index, joined)
         return prepared.windowed
