@@ -35,7 +35,6 @@ from lobewise.denoising.combining import (
     denoise_with_peer,
     list_peer_costs,
     mix_layers,
-    share_by_noise,
     share_out,
 )
 from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy, takes_back
@@ -522,16 +521,16 @@ def scale_parts(
     """Bring ``parts`` of an image ``before`` to the image of ``filtered``; return the factors of the other light.
 
     Where a lens blurs lamps, their light is what the layers leave of the image, up to the brightest sample of a lamp
-    within `NEAR_RADIUS` pixels: the noise of layers explains no lamp. The layers share what is left by their noise.
+    within `NEAR_RADIUS` pixels.
     """
     image, scaled, gain = share_out(filtered.image, before, parts, surface)
-    rest = compute_rest(frame) if filtered.sharing is not None and frame.unscattered else None
-    if rest is None:
+    if filtered.sharing is None or not frame.unscattered:
         return replace(filtered, image=image, parts=scaled), [gain]
-    most = compute_square_maximum(np.maximum(blacken_bad(rest), np.float32(0.0)), NEAR_RADIUS)
-    averaged = np.clip(image - sum_parts(parts), np.float32(0.0), most)
-    *scaled, rest = share_by_noise(image, [*parts, averaged], [*filtered.noisy, rest])
-    return replace(filtered, image=image, parts=scaled, rest=rest), []
+    lamps = reduce(np.add, map(blacken_bad, frame.unscattered.values()))
+    scattered = sum_parts(parts)
+    rest = np.clip(image - scattered, np.float32(0.0), compute_square_maximum(lamps, NEAR_RADIUS))
+    shares = share_out(image - rest, scattered, parts, surface)
+    return replace(filtered, image=shares.image + rest, parts=shares.parts, rest=rest), []
 
 
 def list_peer_layers(frame: Frame, filtered: Filtered) -> list[LayerImage]:
